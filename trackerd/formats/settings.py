@@ -1,0 +1,167 @@
+"""The settings of a cell, as models: every key with its unit, range and default. What they mean is told in config/cell.toml.
+
+Angles and speeds are in degrees here because people write them; code reads the radians from the properties.
+"""
+
+from math import pi, radians
+from pathlib import Path
+from typing import Annotated, Literal, Self
+
+from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
+
+ARCSEC = pi / 648_000.0
+
+Positive = Annotated[float, Field(gt=0)]
+NotNegative = Annotated[float, Field(ge=0)]
+Pixel = tuple[float, float]
+DegreeRange = tuple[float, float]
+
+
+class Settings(BaseModel):
+    """Frozen, and an unknown key is an error."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+
+class CameraSettings(Settings):
+    """Common to every camera driver; a driver's own Settings add to it."""
+
+    driver: str
+    exposure_us: Annotated[float, Field(gt=0, le=1e6)] = 2000.0
+    frame_rate_hz: Annotated[float, Field(gt=0, le=2000)] = 55.0
+    width_px: Annotated[int, Field(ge=32, le=16384)] = 2048
+    height_px: Annotated[int, Field(ge=32, le=16384)] = 1536
+    offset_x_px: Annotated[int, Field(ge=0)] = 0  # origin of the region on the sensor
+    offset_y_px: Annotated[int, Field(ge=0)] = 0
+    gain_e_per_dn: Positive = 39.0  # sensor gain, for the noise model
+    read_noise_e: NotNegative = 3.0
+    transfer_us: NotNegative = 0.0  # end of exposure -> frame complete, where no other clock tells the instant
+    timeout_s: Positive = 0.5  # no frame for this long: the stream is lost
+
+    @model_validator(mode="after")
+    def _exposure_fits_the_period(self) -> Self:
+        if self.exposure_us > 1e6 / self.frame_rate_hz:
+            raise ValueError(
+                f"exposure_us = {self.exposure_us:g} is longer than the frame period of {1e6 / self.frame_rate_hz:.0f} us"
+                f" (frame_rate_hz = {self.frame_rate_hz:g})"
+            )
+        return self
+
+
+class SteeringSettings(Settings):
+    """The loop from pixel offset to axis command, and its limits."""
+
+    gain: Annotated[float, Field(gt=0, le=1)] = 0.7
+    feed_forward: bool = True
+    deadband_px: Annotated[float, Field(ge=0, le=50)] = 0.5
+    aim_px: Pixel | None = None  # sensor pixel that the probe is kept at; default: the centre of the region
+    max_deg_s: Annotated[float, Field(gt=0, le=360)] = 30.0
+    max_deg_s2: Annotated[float, Field(gt=0, le=10_000)] = 300.0
+    max_deg_s3: Annotated[float, Field(gt=0, le=1_000_000)] = 20_000.0
+    az_limits_deg: DegreeRange = (-60.0, 60.0)
+    el_limits_deg: DegreeRange = (-60.0, 60.0)
+    rearm: Literal["automatic", "operator"] | None = None  # default: automatic on a twin, operator on a real bus
+    test_deg: Annotated[float, Field(gt=0, le=2)] = 0.2
+    test_deg_s: Annotated[float, Field(gt=0, le=1)] = 1.0
+    diverge_frames: Annotated[int, Field(ge=3, le=1000)] = 10
+    watchdog_ms: Annotated[int, Field(ge=5, le=1000)] = 50
+
+    @field_validator("az_limits_deg", "el_limits_deg")
+    @classmethod
+    def _ordered(cls, value: DegreeRange) -> DegreeRange:
+        if not value[0] < value[1]:
+            raise ValueError("the lower limit must be below the upper one")
+        return value
+
+    @property
+    def az_limits_rad(self) -> tuple[float, float]:
+        return radians(self.az_limits_deg[0]), radians(self.az_limits_deg[1])
+
+    @property
+    def el_limits_rad(self) -> tuple[float, float]:
+        return radians(self.el_limits_deg[0]), radians(self.el_limits_deg[1])
+
+
+class TrackingSettings(Settings):
+    """How a station finds the probe and holds on to it."""
+
+    tracker: Literal["kcf", "mosse", "csrt", "none"] = "kcf"  # second hypothesis; precision comes from the fit
+    target_px: Pixel | None = None  # sensor pixel of the initial target; default: found by itself
+    radius_px: tuple[float, float] = (12.0, 250.0)  # admitted radius of the outline
+    coast_frames: Annotated[int, Field(ge=0, le=1000)] = 10
+
+    @field_validator("radius_px")
+    @classmethod
+    def _radii(cls, value: tuple[float, float]) -> tuple[float, float]:
+        if not 3.0 <= value[0] < value[1]:
+            raise ValueError("needs 3 <= smallest < largest")
+        return value
+
+
+class GimbalSettings(Settings):
+    """Common to every gimbal driver; a driver's own Settings add to it."""
+
+    driver: str
+    camera: str  # the name of the camera it carries
+    cycle_ms: Annotated[float, Field(ge=1, le=100)] = 5.0
+    stale_ms: Annotated[float, Field(ge=5, le=1000)] = 20.0  # a status older than this: no angles, no fix
+    encoder_sigma_arcsec: NotNegative = 2.0  # 1 sigma of one reading, independent from reading to reading
+    encoder_fixed_arcsec: NotNegative = 0.0  # 1 sigma of the part that is a function of the angle
+    steering: SteeringSettings = SteeringSettings()
+    tracking: TrackingSettings = TrackingSettings()
+
+    @property
+    def encoder_sigma_rad(self) -> float:
+        return self.encoder_sigma_arcsec * ARCSEC
+
+    @property
+    def encoder_fixed_rad(self) -> float:
+        return self.encoder_fixed_arcsec * ARCSEC
+
+
+class ProbeSettings(Settings):
+    radius_mm: Annotated[float, Field(gt=0, le=500)]
+    radius_tolerance: Annotated[float, Field(gt=0, le=0.5)] = 0.05  # apparent against triangulated range, relative
+
+
+class FusionSettings(Settings):
+    """From lines of sight to a fix."""
+
+    model: Literal["constant_velocity", "constant_acceleration"] = "constant_acceleration"
+    process_noise: Positive = 1e7  # white jerk, mm^2/s^5 (constant velocity: white acceleration, mm^2/s^3)
+    simultaneous_us: Positive = 1000.0  # lines closer than this are brought together by their own rate, others interpolated
+    wait_ms: Positive = 100.0  # for the slowest station's line
+    confirm_pairs: Annotated[int, Field(ge=1, le=1000)] = 5
+    max_miss_mm: Positive = 1.0
+    max_speed_mm_s: Positive = 3000.0  # a faster jump is another target
+    gate_chi2: Positive = 30.0  # innovation, 3 degrees of freedom
+    coast_ms: NotNegative = 100.0
+    valid_periods: Positive = 3.0  # valid_until = instant + this many frame periods
+    max_age_ms: Positive = 100.0  # an older exposure is not valid when it is published
+
+
+class ZenohSettings(Settings):
+    mode: Literal["peer", "client", "router"] = "peer"
+    listen: tuple[str, ...] = ("tcp/127.0.0.1:7447",)
+    connect: tuple[str, ...] = ()
+    key: str = "probe/position"
+    twin_prefix: str = "twin"
+    replay_prefix: str = "replay"
+    allow_live_key: bool = False  # a twin or a replay may use the key as it stands
+    lease_ms: Annotated[int, Field(ge=500, le=60_000)] = 2000
+    overlay: Path | None = None  # a Zenoh json5 file, laid over the above
+
+    @field_validator("key", "twin_prefix", "replay_prefix")
+    @classmethod
+    def _key(cls, value: str) -> str:
+        key = value.removeprefix("/")
+        if not key or any(not chunk for chunk in key.split("/")) or any(c in key for c in "*$?# "):
+            raise ValueError("not a Zenoh key: chunks parted by single '/', without * $ ? # or blanks")
+        return key
+
+
+class ServiceSettings(Settings):
+    status_hz: Annotated[float, Field(ge=1, le=100)] = 10.0
+    restart_s: tuple[float, float] = (0.2, 5.0)  # first and longest pause before a device is opened again
+    log_level: Literal["debug", "info", "warning", "error"] = "info"
+    log_format: Literal["text", "json"] = "text"

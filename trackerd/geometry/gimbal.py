@@ -1,0 +1,138 @@
+"""A station: a two-axis gimbal that carries a camera, off its axes. Conventions of the frames W, G, RG and C are in the README.
+
+Every angle here is the encoder's; the axis angle is sign x encoder angle.
+"""
+
+from dataclasses import dataclass
+from enum import StrEnum
+from math import acos, atan2, cos, hypot, sin
+
+import numpy as np
+
+from trackerd.contract.errors import Degenerate
+from trackerd.contract.model import Array
+from trackerd.geometry.lens import Lens
+from trackerd.geometry.rigid import Rigid, cross, rotation_about, rotation_about_x, rotation_about_y
+
+AIM_STEPS = 25
+AIM_TOLERANCE_PX = 1e-9
+UNIT_X = np.array((1.0, 0.0, 0.0))
+UNIT_Y = np.array((0.0, 1.0, 0.0))
+
+
+class AxisOrder(StrEnum):
+    AZ_OUTER = "az_outer"  # the EL axis is carried by AZ
+    EL_OUTER = "el_outer"
+
+
+@dataclass(frozen=True, slots=True)
+class Axes:
+    """Both axes in W at one pose: unit direction of a positive *encoder* step, and a point on each."""
+
+    az: Array
+    el: Array
+    p_az_mm: Array
+    p_el_mm: Array
+
+
+@dataclass(frozen=True, slots=True)
+class Station:
+    """Kinematics and lens of one gimbal.
+
+    az_outer: p_g = Rx(az) ([0, 0, d] + R(e, el) p_rg), e = (sin eps, cos eps, 0);
+    el_outer: p_g = Ry(el) ([0, 0, d] + R(e, az) p_rg), e = (cos eps, sin eps, 0).
+    A camera at the rotation centre is a lever arm (rg_from_camera.translation_mm) of 0.
+    """
+
+    name: str
+    world_from_gimbal: Rigid
+    rg_from_camera: Rigid
+    lens: Lens
+    order: AxisOrder = AxisOrder.AZ_OUTER
+    az_sign: int = 1
+    el_sign: int = 1
+    eps_rad: float = 0.0
+    d_mm: float = 0.0
+
+    def world_from_camera(self, az_rad: float, el_rad: float) -> Rigid:
+        outer, inner = self._turns(az_rad, el_rad)
+        gimbal_from_rg = Rigid(outer @ inner, outer[:, 2] * self.d_mm)
+        return self.world_from_gimbal @ gimbal_from_rg @ self.rg_from_camera
+
+    def axes(self, az_rad: float, el_rad: float) -> Axes:
+        outer, _ = self._turns(az_rad, el_rad)
+        w = self.world_from_gimbal
+        p_outer = w.translation_mm
+        p_inner = w.move(outer[:, 2] * self.d_mm)
+        if self.order is AxisOrder.AZ_OUTER:
+            az, el = w.rotate(UNIT_X), w.rotate(outer @ self._inner_axis())
+            return Axes(self.az_sign * az, self.el_sign * el, p_outer, p_inner)
+        az, el = w.rotate(outer @ self._inner_axis()), w.rotate(UNIT_Y)
+        return Axes(self.az_sign * az, self.el_sign * el, p_inner, p_outer)
+
+    def pixel(self, p_world_mm: Array, az_rad: float, el_rad: float) -> Array:
+        """Where a point of W is seen, (2,). The point must be in front of the camera."""
+        return self.lens.project(self.world_from_camera(az_rad, el_rad).inverse().move(p_world_mm))
+
+    def pixel_jacobian(self, p_world_mm: Array, az_rad: float, el_rad: float) -> Array:
+        """d pixel / d (az, el) of a point fixed in W, (2, 2)."""
+        camera_from_world = self.world_from_camera(az_rad, el_rad).inverse()
+        axes = self.axes(az_rad, el_rad)
+        swing = np.column_stack((-cross(axes.az, p_world_mm - axes.p_az_mm), -cross(axes.el, p_world_mm - axes.p_el_mm)))
+        return np.asarray(self.lens.jacobian(camera_from_world.move(p_world_mm)) @ camera_from_world.rotation @ swing)
+
+    def point_at(self, q_px: Array, az_rad: float, el_rad: float, range_mm: float) -> Array:
+        """The point of W at `range_mm` from the entrance pupil that is seen at a pixel."""
+        return self.world_from_camera(az_rad, el_rad).move(self.lens.unproject(q_px) * range_mm)
+
+    def aim(self, p_world_mm: Array, q_px: Array | None = None) -> tuple[float, float]:
+        """Encoder angles that show a point of W at a pixel (default: the principal point).
+
+        Closed form for the ideal gimbal, then Newton on the full model. Raises Degenerate where no pose does it.
+        """
+        aim_px = np.array((self.lens.cx_px, self.lens.cy_px)) if q_px is None else q_px
+        az, el = self._first_aim(p_world_mm)
+        for _ in range(AIM_STEPS):
+            error = aim_px - self._pixel_in_front(p_world_mm, az, el)
+            if np.abs(error).max() < AIM_TOLERANCE_PX:
+                return az, el
+            step = np.linalg.solve(self.pixel_jacobian(p_world_mm, az, el), error)
+            step *= min(1.0, 0.2 / float(np.abs(step).max()))
+            az, el = az + float(step[0]), el + float(step[1])
+        if np.abs(error).max() < 1e-5:
+            return az, el
+        raise Degenerate(f"station {self.name} cannot be aimed at {np.round(p_world_mm, 1)} mm")
+
+    def _pixel_in_front(self, p_world_mm: Array, az_rad: float, el_rad: float) -> Array:
+        p_camera = self.world_from_camera(az_rad, el_rad).inverse().move(p_world_mm)
+        if p_camera[2] <= 0.0:
+            raise Degenerate(f"station {self.name}: {np.round(p_world_mm, 1)} mm is behind the camera")
+        return self.lens.project(p_camera)
+
+    def _first_aim(self, p_world_mm: Array) -> tuple[float, float]:
+        x, y, z = self.world_from_gimbal.inverse().move(p_world_mm)
+        lever_x, lever_y, _ = self.rg_from_camera.translation_mm
+        if self.order is AxisOrder.AZ_OUTER:
+            az = atan2(z, y) - acos(_reachable(lever_y, hypot(y, z)))
+            el = atan2(x, -y * sin(az) + z * cos(az))
+        else:
+            el = acos(_reachable(lever_x, hypot(x, z))) - atan2(z, x)
+            az = -atan2(y, x * sin(el) + z * cos(el))
+        return self.az_sign * az, self.el_sign * el
+
+    def _turns(self, az_rad: float, el_rad: float) -> tuple[Array, Array]:
+        """Rotation of the outer axis and of the inner one."""
+        az, el = self.az_sign * az_rad, self.el_sign * el_rad
+        if self.order is AxisOrder.AZ_OUTER:
+            return rotation_about_x(az), rotation_about(self._inner_axis(), el)
+        return rotation_about_y(el), rotation_about(self._inner_axis(), az)
+
+    def _inner_axis(self) -> Array:
+        c, s = cos(self.eps_rad), sin(self.eps_rad)
+        return np.array((s, c, 0.0) if self.order is AxisOrder.AZ_OUTER else (c, s, 0.0))
+
+
+def _reachable(lever_mm: float, distance_mm: float) -> float:
+    if distance_mm <= abs(lever_mm):
+        raise Degenerate(f"a point {distance_mm:.1f} mm from the axis is inside the lever arm of {abs(lever_mm):.1f} mm")
+    return lever_mm / distance_mm
