@@ -22,5 +22,5 @@ def load(role: str, name: str) -> ModuleType:
     if name in added:
         module: ModuleType = added[name].load()
         return module
-    known = ", ".join(sorted(table | {point: "" for point in added}))
+    known = ", ".join(sorted(table | dict.fromkeys(added, "")))
     raise ConfigError(f'driver = "{name}": no such {role} driver (there are: {known})')

@@ -6,7 +6,7 @@ from math import sqrt
 import numpy as np
 
 from trackerd.contract.clock import HostNs
-from trackerd.contract.model import Array, AxisAngles, Found, Sightline
+from trackerd.contract.model import AxisAngles, Found, Sightline
 from trackerd.geometry.gimbal import Station
 from trackerd.geometry.rigid import cross
 from trackerd.geometry.sphere import centre_and_range
