@@ -17,6 +17,14 @@ Pixel = tuple[float, float]
 DegreeRange = tuple[float, float]
 
 
+class KeyRuleError(ValueError):
+    """A rule between the keys of one table, told of the key that a person would change."""
+
+    def __init__(self, key: str, rule: str) -> None:
+        super().__init__(rule)
+        self.key = key
+
+
 class Settings(BaseModel):
     """Frozen, and an unknown key is an error."""
 
@@ -41,10 +49,8 @@ class CameraSettings(Settings):
     @model_validator(mode="after")
     def _exposure_fits_the_period(self) -> Self:
         if self.exposure_us > 1e6 / self.frame_rate_hz:
-            raise ValueError(
-                f"exposure_us = {self.exposure_us:g} is longer than the frame period of {1e6 / self.frame_rate_hz:.0f} us"
-                f" (frame_rate_hz = {self.frame_rate_hz:g})"
-            )
+            period = f"{1e6 / self.frame_rate_hz:.0f} us at frame_rate_hz = {self.frame_rate_hz:g}"
+            raise KeyRuleError("exposure_us", f"must not be longer than the frame period, {period}")
         return self
 
 
@@ -71,7 +77,19 @@ class SteeringSettings(Settings):
     def _ordered(cls, value: DegreeRange) -> DegreeRange:
         if not value[0] < value[1]:
             raise ValueError("the lower limit must be below the upper one")
+        if max(map(abs, value)) > 360.0:
+            raise ValueError("must lie within -360 and 360 degrees")
         return value
+
+    @model_validator(mode="after")
+    def _room_for_the_test(self) -> Self:
+        for key in ("az_limits_deg", "el_limits_deg"):
+            low, high = getattr(self, key)
+            if high - low < 2 * self.test_deg:
+                raise KeyRuleError(
+                    key, f"leaves no room for the test of the axes by test_deg = {self.test_deg:g} to both sides"
+                )
+        return self
 
     @property
     def az_limits_rad(self) -> tuple[float, float]:
@@ -109,6 +127,14 @@ class GimbalSettings(Settings):
     encoder_fixed_arcsec: NotNegative = 0.0  # 1 sigma of the part that is a function of the angle
     steering: SteeringSettings = SteeringSettings()
     tracking: TrackingSettings = TrackingSettings()
+
+    @model_validator(mode="after")
+    def _slower_than_the_bus(self) -> Self:
+        if self.steering.watchdog_ms < 2 * self.cycle_ms:
+            raise KeyRuleError("cycle_ms", f"must be at most half of steering.watchdog_ms = {self.steering.watchdog_ms}")
+        if self.stale_ms < 2 * self.cycle_ms:
+            raise KeyRuleError("stale_ms", f"must be at least two cycles of cycle_ms = {self.cycle_ms:g}")
+        return self
 
     @property
     def encoder_sigma_rad(self) -> float:
@@ -165,3 +191,10 @@ class ServiceSettings(Settings):
     restart_s: tuple[float, float] = (0.2, 5.0)  # first and longest pause before a device is opened again
     log_level: Literal["debug", "info", "warning", "error"] = "info"
     log_format: Literal["text", "json"] = "text"
+
+    @field_validator("restart_s")
+    @classmethod
+    def _pauses(cls, value: tuple[float, float]) -> tuple[float, float]:
+        if not 0.0 < value[0] <= value[1]:
+            raise ValueError("needs 0 < first pause <= longest pause")
+        return value
