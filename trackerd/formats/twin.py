@@ -1,4 +1,4 @@
-"""The settings of the simulated cell: table [twin]. Imperfections are off by default; what they mean is told in config/demo.toml.
+"""The settings of the simulated cell: table [twin]. Imperfections are off by default.
 
 Names of gimbals and cameras are those of the cell; who is not named has the defaults.
 """
@@ -124,19 +124,15 @@ class LookSettings(Settings):
 
 
 class DeviceClockSettings(Settings):
-    """One device's clock against the scene's: stamp = offset + t (1 + drift)."""
+    """One device's clock against the scene's: it reads offset + t (1 + drift)."""
 
     offset_s: float = 0.0
     drift_ppm: Annotated[float, Field(ge=-500, le=500)] = 0.0
 
-    def stamp_ns(self, t_ns: int) -> int:
-        """Integer arithmetic: a float of Unix-sized nanoseconds is 200 ns coarse."""
-        return t_ns + round(self.offset_s * 1e9) + round(t_ns * self.drift_ppm * 1e-6)
-
 
 class ClockSettings(Settings):
-    camera: dict[str, DeviceClockSettings] = {}
-    gimbal: dict[str, DeviceClockSettings] = {}
+    camera: dict[str, DeviceClockSettings] = Field(default_factory=dict)
+    gimbal: dict[str, DeviceClockSettings] = Field(default_factory=dict)
 
 
 class TwinSettings(Settings):
@@ -147,7 +143,7 @@ class TwinSettings(Settings):
     path: PathSettings = PathSettings()
     axes: AxesSettings = AxesSettings()
     encoder: EncoderSettings = EncoderSettings()
-    error: dict[str, ErrorSettings] = {}  # by gimbal
+    error: dict[str, ErrorSettings] = Field(default_factory=dict)  # by gimbal
     camera: LookSettings = LookSettings()
     clock: ClockSettings = ClockSettings()
 
