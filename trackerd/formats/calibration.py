@@ -17,6 +17,7 @@ written so that it is read back bit by bit; a rotation matrix goes through its q
 """
 
 import os
+import re
 import tempfile
 from collections.abc import Mapping
 from contextlib import suppress
@@ -40,6 +41,7 @@ FORMAT = "trackerd-calibration"
 VERSION = 1
 NORM_TOLERANCE = 1e-6  # of a quaternion: more is a typing error, not rounding
 PSD_TOLERANCE = 1e-9  # of a covariance's eigenvalues, relative to the largest after scaling to correlations
+NUMBERS = re.compile(r"\[\n((?:\s+[-+.\deE]+,\n)+)\s*\]")  # a list of numbers, which tomli_w spreads over many lines
 
 Vector = tuple[float, float, float]
 Positive = Annotated[float, Field(gt=0)]
@@ -171,7 +173,7 @@ def load_calibration(path: Path) -> Calibration:
 
 def save_calibration(calibration: Calibration, path: Path) -> None:
     """Replaces the file in one step: a reader, or a power cut, sees the old one or the new one, whole."""
-    text = tomli_w.dumps(_tables(calibration))
+    text = NUMBERS.sub(_one_line, tomli_w.dumps(_tables(calibration)))
     handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
     try:
         with os.fdopen(handle, "w", encoding="utf-8") as file:
@@ -185,6 +187,10 @@ def save_calibration(calibration: Calibration, path: Path) -> None:
             Path(temporary).unlink()
         raise
     _sync_folder(path.parent)
+
+
+def _one_line(numbers: re.Match[str]) -> str:
+    return "[" + ", ".join(numbers[1].replace(",", " ").split()) + "]"
 
 
 def _sync_folder(folder: Path) -> None:

@@ -1,6 +1,6 @@
 """What the cell says on Zenoh: keys and JSON payloads, as pure functions.
 
-A position, schema "trackerd/position/1", UTF-8 JSON. A later version may add keys; none changes its meaning within a schema. NaN never
+A position, schema "trackerd/position/1", is UTF-8 JSON. Keys may be added; none changes its meaning within a schema. NaN never
 appears: what is not known is null.
 
 | key | value |
@@ -8,6 +8,7 @@ appears: what is not known is null.
 | schema | "trackerd/position/1" |
 | sequence | counts the fixes of this run, from 0; a gap is a message that was dropped on its way |
 | t_unix_ns | Unix time of the exposure that the position refers to, ns |
+| t_received_unix_ns | Unix time at which the last frame behind it was complete in the driver, ns |
 | t_published_unix_ns | Unix time of publication, ns |
 | age_ms | publication (or the answer to a query) minus exposure |
 | state | "searching", "unconfirmed", "tracking" or "coasting" |
@@ -25,7 +26,7 @@ appears: what is not known is null.
 | source | "live", "twin" or "replay": where the photons came from |
 | calibration_id | the calibration's id |
 
-The status, schema "trackerd/status/1", holds schema, source, t_published_unix_ns, and what each device and task tells of itself.
+A status, schema "trackerd/status/1", holds schema, source, t_published_unix_ns, and what each device and task tells of itself.
 """
 
 import json
@@ -96,6 +97,7 @@ def fix_message(fix: Fix, clock: Clock, valid_until: HostNs, source: Source, cal
         "schema": POSITION_SCHEMA,
         "sequence": fix.sequence,
         "t_unix_ns": exposed,
+        "t_received_unix_ns": clock.unix(fix.received),
         "t_published_unix_ns": clock.unix(now),
         "age_ms": (now - fix.instant) / 1e6,
         "state": fix.state.value,
@@ -153,6 +155,21 @@ def decode(payload: bytes) -> Message:
 
 def plain(value: Any) -> Any:
     """Dataclasses, enums, arrays and paths as JSON has them. Raises TypeError for what has no such form."""
+    if is_dataclass(value):
+        return {field.name: plain(getattr(value, field.name)) for field in fields(value)}
+    match value:
+        case Mapping():
+            return {str(plain(key)): plain(item) for key, item in value.items()}
+        case list() | tuple():
+            return [plain(item) for item in value]
+        case Set():
+            return sorted(plain(item) for item in value)
+        case np.ndarray() | np.generic():
+            return plain(value.tolist())
+    return _plain_scalar(value)
+
+
+def _plain_scalar(value: Any) -> Any:
     match value:
         case Flag():
             return [member.name.lower() for member in value if member.name]
@@ -163,19 +180,9 @@ def plain(value: Any) -> Any:
         case None | bool() | int() | str():
             return value
         case float():
-            return float(value) if isfinite(value) else None
-        case Mapping():
-            return {str(plain(key)): plain(item) for key, item in value.items()}
-        case list() | tuple():
-            return [plain(item) for item in value]
-        case Set():
-            return sorted(plain(item) for item in value)
+            return value if isfinite(value) else None
         case PurePath():
             return str(value)
-        case np.ndarray() | np.generic():
-            return plain(value.tolist())
-    if is_dataclass(value):
-        return {field.name: plain(getattr(value, field.name)) for field in fields(value)}
     raise TypeError(f"a {type(value).__name__} has no form in JSON")
 
 
