@@ -1,7 +1,7 @@
 """How an edge looks: a step, blurred by the lens and integrated over the pixel, as a table over the distance from the edge.
 
-A Gaussian blur and a square pixel together are very nearly one Gaussian of variance psf^2 + 1/12. Blurring a curved edge moves it
-inwards; to first order a radial profile f becomes (f * Gauss)(distance + sigma^2 / 2r).
+A Gaussian blur and a square pixel together are very nearly one Gaussian of variance psf^2 + 1/12. Blurring a curved edge
+moves it inwards; to first order a radial profile f becomes (f * Gauss)(distance + sigma^2 / 2r).
 """
 
 from math import erfc, sqrt
@@ -52,16 +52,17 @@ class Limb:
     def _blurred(self, r_px: float) -> Floats:
         margin = self._edge.reach_px
         distance = np.arange(-r_px - margin, 2.0 * margin, 1.0 / COARSE_PER_PX)
-        share = np.clip(1.0 + distance / r_px, 0.0, 1.0)  # of the radius; mirrored parts beyond the middle are 0 there anyway
+        share = np.clip(1.0 + distance / r_px, 0.0, 1.0)  # of the radius
         loss = np.where(distance < 0.0, 1.0 - np.sqrt(1.0 - share**2), 0.0)
         taps = np.arange(-round(margin * COARSE_PER_PX), round(margin * COARSE_PER_PX) + 1) / COARSE_PER_PX
         kernel = np.exp(-0.5 * (taps / self._edge.sigma_px) ** 2)
         blurred = np.convolve(loss, kernel / kernel.sum(), mode="same")
         cells = np.arange(-r_px, margin, 1.0 / CELLS_PER_PX)
-        return np.interp(cells, distance, blurred).astype(np.float32)
+        return np.asarray(np.interp(cells, distance, blurred), np.float32)
 
 
 def _look_up(table: Floats, distance_px: Floats, first_px: float) -> Floats:
     """Nearest cell; beyond its ends a table goes on level."""
     cell = (distance_px * np.float32(CELLS_PER_PX) + np.float32(0.5 - first_px * CELLS_PER_PX)).astype(np.int32)
-    return np.take(table, cell, mode="clip")
+    found: Floats = np.take(table, cell, mode="clip")
+    return found

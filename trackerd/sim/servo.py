@@ -1,4 +1,4 @@
-"""One servo axis: set-points in, angle and rate at any recent instant out. Limits of speed, acceleration and travel always hold.
+"""One servo axis: set-points in, angle and rate at any recent instant out. Limits of speed, acceleration and travel hold.
 
 It steps at 1 kHz of the scene's time, and only when somebody asks. Between two steps the acceleration is constant, so the cubic
 through both ends is the exact motion. A command counts from the first step after its instant.
