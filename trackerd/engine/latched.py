@@ -1,0 +1,105 @@
+"""The angles of a frame: latches matched by index and checked by time, in the host's time. Synchronous; time is passed in."""
+
+from dataclasses import dataclass
+from math import hypot
+from typing import Protocol
+
+from trackerd.contract.clock import ClockKind, ControllerUs, HostNs
+from trackerd.contract.model import AxisAngles, Frame, GimbalInfo, GimbalReport, NoAngle
+from trackerd.estimate.clockfit import ClockFit, FitStatistics
+from trackerd.estimate.latching import LatchMatcher, Match, Waiting
+
+STILL_CYCLES = 3  # a status_seq that stands still for this many bus cycles is a dead controller
+
+
+@dataclass(slots=True)
+class RecordingTime:
+    """Recorded instants mapped to now by one offset, common to all devices of the cell: set by the first that is asked for."""
+
+    offset_ns: int | None = None
+
+    def host(self, recorded_ns: int, now: HostNs) -> HostNs:
+        if self.offset_ns is None:
+            self.offset_ns = now - recorded_ns
+        return HostNs(recorded_ns + self.offset_ns)
+
+
+class Encoders(Protocol):
+    """The two sigmas of the encoders; GimbalSettings has them."""
+
+    @property
+    def encoder_sigma_rad(self) -> float: ...
+
+    @property
+    def encoder_fixed_rad(self) -> float: ...
+
+
+class LatchedAngles:
+    """One link's worth of status records, and the question: where were the axes at mid-exposure of this frame?"""
+
+    def __init__(self, info: GimbalInfo, encoders: Encoders, recording: RecordingTime, cycle_ns: int, stale_ns: int) -> None:
+        self._info = info
+        self._encoders = encoders
+        self._recording = recording
+        self._stale_ns = max(stale_ns, STILL_CYCLES * cycle_ns)
+        self._matcher = LatchMatcher(info.edges)
+        self._fit = ClockFit()
+        self._report: GimbalReport | None = None
+        self._changed: HostNs | None = None
+
+    def reported(self, report: GimbalReport) -> bool:
+        """Takes a status record. True: the controller has restarted, frames and latches must be numbered anew."""
+        last, self._report = self._report, report
+        if last is None or report.sequence != last.sequence:
+            self._changed = report.received
+        restarted = last is not None and report.instant < last.instant
+        if restarted:
+            self._fit.reset()
+            self._matcher.reset()
+        if self._info.clock is ClockKind.DEVICE:
+            self._fit.add(report.instant * 1000, report.sent, report.received)
+        return restarted
+
+    def renumbered(self) -> None:
+        """Latches and frames both begin at 0 again."""
+        self._matcher.reset()
+
+    def stale(self, now: HostNs) -> str:
+        """Why the controller's status is not to be trusted, or nothing."""
+        if self._changed is None:
+            return "no status from the controller"
+        age_ns = now - self._changed
+        return f"the controller's status is {age_ns * 1e-6:.0f} ms old" if age_ns > self._stale_ns else ""
+
+    def match(self, frame: Frame, now: HostNs) -> AxisAngles | NoAngle | Waiting:
+        report = self._report
+        if report is None or (reason := self.stale(now)):
+            return NoAngle(self.stale(now))
+        if self._info.edges == 0:
+            return self._angles(report.az_rad, report.el_rad, None, 0.0, "fixed")
+        found = self._matcher.match(frame.frame_id, frame.mid_exposure, report.latches)
+        if not isinstance(found, Match):
+            return found
+        if self._info.clock is ClockKind.RECORDING:
+            host = self._recording.host(found.instant_ns, now)
+            return self._angles(found.az_rad, found.el_rad, host, 0.0, "recording")
+        instant = self._fit.host(found.instant_ns)
+        if instant is None:
+            return NoAngle("the controller's clock is not known yet")
+        return self._angles(found.az_rad, found.el_rad, *instant, "latch")
+
+    def controller_time(self, now: HostNs) -> ControllerUs | None:
+        """What the controller's clock shows now."""
+        reported = None if self._report is None else self._fit.host(self._report.instant * 1000)
+        if self._report is None or reported is None:
+            return None
+        return ControllerUs(self._report.instant + (now - reported[0]) // 1000)
+
+    @property
+    def clock_fit(self) -> FitStatistics | None:
+        """How well the controller's clock is known."""
+        return self._fit.statistics() if self._fit.ready else None
+
+    def _angles(self, az: float, el: float, instant: HostNs | None, sigma_ns: float, source: str) -> AxisAngles:
+        sigma_rad = hypot(self._encoders.encoder_sigma_rad, self._info.latch_sigma_rad)
+        return AxisAngles(az, el, sigma_rad, self._encoders.encoder_fixed_rad, instant, sigma_ns, source)

@@ -1,0 +1,148 @@
+"""The axes of one station on the bus: one object for the station's life, whatever happens to its controller."""
+
+import asyncio
+import logging
+from contextlib import aclosing, suppress
+from dataclasses import replace
+
+from trackerd.contract.clock import Clock
+from trackerd.contract.errors import DeviceError, DeviceTimeout
+from trackerd.contract.model import AxisAngles, Frame, GimbalReport, NoAngle
+from trackerd.contract.ports import Gimbal
+from trackerd.engine.axes import Axes, AxesSnapshot
+from trackerd.engine.latched import LatchedAngles, RecordingTime
+from trackerd.engine.track import Step
+from trackerd.estimate.clockfit import FitStatistics
+from trackerd.estimate.latching import Waiting
+from trackerd.formats.settings import GimbalSettings
+from trackerd.service.pacer import ticks
+
+log = logging.getLogger("trackerd.axes")
+LATCH_CYCLES = 2  # a frame waits this many bus cycles for the status that holds its latch
+ZERO_CYCLES = 40
+FAREWELL_CYCLES = 3  # 'hold' is sent this often before the link is closed
+
+
+class AxesLink:
+    """Exchanges records on the bus' own clock; the newest set-point rides along; frames ask it for their angles."""
+
+    def __init__(self, name: str, axes: Axes, settings: GimbalSettings, recording: RecordingTime, clock: Clock) -> None:
+        self.name = name
+        self.epoch = 0  # counts up whenever frames and latches have to be numbered anew
+        self._axes = axes
+        self._settings = settings
+        self._recording = recording
+        self._clock = clock
+        self._latched: LatchedAngles | None = None
+        self._report: GimbalReport | None = None
+        self._news = asyncio.Condition()
+        self._zeroing = False
+        self._late_cycles = 0
+        self._exchanges = 0
+
+    async def run(self, gimbal: Gimbal) -> None:
+        """Until it is cancelled, or the link breaks with a DeviceError. The axes are told to hold on every way out."""
+        cycle_s = self._settings.cycle_ms * 1e-3
+        self._axes.connected(gimbal.info)
+        self._latched = LatchedAngles(
+            gimbal.info, self._settings, self._recording, round(cycle_s * 1e9), round(self._settings.stale_ms * 1e6)
+        )
+        self.epoch += 1
+        try:
+            async with aclosing(ticks(cycle_s)) as due:
+                async for periods in due:
+                    self._late_cycles += periods - 1
+                    await self._exchange(gimbal)
+        except asyncio.CancelledError:
+            await self._farewell(gimbal)
+            self._axes.link_lost("closed")
+            raise
+        except Exception as error:
+            self._axes.link_lost(str(error))
+            raise
+        finally:
+            self._latched = self._report = None
+            await self._tell()
+
+    async def latched_at(self, frame: Frame) -> AxisAngles | NoAngle:
+        """The angles at the frame's mid-exposure; at most two bus cycles late, else NoAngle."""
+        for cycle in range(LATCH_CYCLES + 1):
+            if self._latched is None:
+                return NoAngle("no link to the controller")
+            angles = self._latched.match(frame, self._clock.now())
+            if not isinstance(angles, Waiting):
+                return angles
+            if cycle < LATCH_CYCLES:
+                await self._next_report()
+        return NoAngle(f"its latch did not come within {LATCH_CYCLES} bus cycles")
+
+    async def zero_latch(self) -> None:
+        """Makes the next exposure's latch number 0; the camera is stopped. Without latches there is nothing to do."""
+        if self._latched is None or self._report is None:
+            return
+        self._zeroing = True
+        try:
+            for _ in range(ZERO_CYCLES):
+                await self._next_report()
+                if self._report is None or self._report.latch_total == 0:
+                    break
+            else:
+                raise DeviceTimeout(f"gimbal {self.name}", "set the latch counter to zero", f"not done in {ZERO_CYCLES} cycles")
+        finally:
+            self._zeroing = False
+        if self._latched is not None:
+            self._latched.renumbered()
+
+    def seen(self, step: Step) -> None:
+        self._axes.seen(step)
+
+    def arm(self) -> str:
+        answer = self._axes.arm()
+        log.info("axes of %s armed by the operator: %s", self.name, answer)
+        return answer
+
+    def hold(self, reason: str) -> None:
+        self._axes.hold(reason)
+
+    def snapshot(self) -> AxesSnapshot:
+        return self._axes.snapshot()
+
+    def stale(self) -> str:
+        return "no link to the controller" if self._latched is None else self._latched.stale(self._clock.now())
+
+    @property
+    def clock_fit(self) -> FitStatistics | None:
+        return None if self._latched is None else self._latched.clock_fit
+
+    @property
+    def exchanges(self) -> tuple[int, int]:
+        """Exchanges done, cycles that were missed."""
+        return self._exchanges, self._late_cycles
+
+    async def _exchange(self, gimbal: Gimbal) -> None:
+        assert self._latched is not None
+        now = self._clock.now()
+        command = self._axes.command(now, self._latched.controller_time(now))
+        self._report = report = await gimbal.exchange(replace(command, latch_zero=True) if self._zeroing else command)
+        self._exchanges += 1
+        if self._latched.reported(report):
+            log.warning("the controller of %s has restarted", self.name)
+            self._axes.restarted("the controller has restarted")
+            self.epoch += 1
+        self._axes.reported(report)
+        await self._tell()
+
+    async def _farewell(self, gimbal: Gimbal) -> None:
+        """Held, not disabled: an EL axis that carries an eccentric camera falls when it is disabled."""
+        self._axes.hold("the daemon stops")
+        with suppress(DeviceError):  # a controller that is gone holds by its own watchdog
+            for _ in range(FAREWELL_CYCLES):
+                await gimbal.exchange(self._axes.command(self._clock.now(), None))
+
+    async def _tell(self) -> None:
+        async with self._news:
+            self._news.notify_all()
+
+    async def _next_report(self) -> None:
+        async with self._news:
+            await self._news.wait()

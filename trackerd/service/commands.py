@@ -1,0 +1,63 @@
+"""What people may ask of the running cell over Zenoh: arm the axes, select the target, the last position, the status."""
+
+from dataclasses import dataclass
+from typing import Any
+
+from trackerd.service.cell_service import StationParts
+from trackerd.service.outlet import Outlet
+from trackerd.service.zenoh_link import ZenohLink
+
+
+@dataclass(frozen=True, slots=True)
+class Commands:
+    stations: dict[str, StationParts]
+    outlet: Outlet
+
+    def serve(self, link: ZenohLink) -> None:
+        link.answer(link.keys.position, self.outlet.answer_position)
+        link.answer(link.keys.status, self.outlet.answer_status)
+        link.answer(link.keys.arm, self.arm)
+        link.answer(link.keys.select, self.select)
+
+    def arm(self, request: dict[str, Any]) -> dict[str, Any]:
+        """{"gimbal": name} or {} for all; {"hold": true} disarms. The answer tells what each gimbal still waits for."""
+        _known_keys(request, {"gimbal", "hold"})
+        answers = {}
+        for name, part in self._chosen(request).items():
+            if request.get("hold"):
+                part.link.hold("held by the operator")
+                answers[name] = "held"
+            else:
+                answers[name] = part.link.arm()
+        return {"gimbals": answers}
+
+    def select(self, request: dict[str, Any]) -> dict[str, Any]:
+        """{"gimbal": name, "pixel": [x, y]}: the target nearest to that sensor pixel; null lets it be found by itself."""
+        _known_keys(request, {"gimbal", "pixel"})
+        if "gimbal" not in request or "pixel" not in request:
+            raise ValueError('needs "gimbal" and "pixel"')
+        pixel = request["pixel"]
+        chosen = self._chosen(request)
+        for part in chosen.values():
+            part.task.select(None if pixel is None else _pixel(pixel))
+        return {"gimbals": {name: "selected" if pixel is not None else "finds its target by itself" for name in chosen}}
+
+    def _chosen(self, request: dict[str, Any]) -> dict[str, StationParts]:
+        name = request.get("gimbal")
+        if name is None:
+            return self.stations
+        if name not in self.stations:
+            raise ValueError(f"no gimbal {name!r} (there are: {', '.join(self.stations)})")
+        return {name: self.stations[name]}
+
+
+def _known_keys(request: dict[str, Any], known: set[str]) -> None:
+    unknown = sorted(set(request) - known)
+    if unknown:
+        raise ValueError(f"unknown keys {', '.join(unknown)} (known: {', '.join(sorted(known))})")
+
+
+def _pixel(value: Any) -> tuple[float, float]:
+    if not isinstance(value, list) or len(value) != 2 or not all(isinstance(v, int | float) for v in value):
+        raise ValueError(f"pixel {value!r}: needs two numbers [x, y]")
+    return float(value[0]), float(value[1])
