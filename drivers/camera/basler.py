@@ -7,6 +7,7 @@ opening one sets it.
 
 import asyncio
 import os
+import warnings
 from collections.abc import AsyncIterator, Callable, Iterator
 from contextlib import asynccontextmanager, contextmanager, suppress
 from pathlib import Path
@@ -21,7 +22,7 @@ from drivers.camera.mailbox import Mailbox
 from drivers.camera.threads import run_in_thread
 from trackerd.contract.clock import CameraNs, Clock, ClockKind
 from trackerd.contract.errors import ConfigError, DeviceFault, DeviceMissing, DeviceTimeout, RecordingEnded
-from trackerd.contract.model import CameraInfo, CameraStatistics, Frame
+from trackerd.contract.model import CameraInfo, CameraStatistics, Frame, Source
 from trackerd.formats.settings import CameraSettings
 
 T = TypeVar("T")
@@ -40,6 +41,10 @@ class Settings(CameraSettings):
     trigger: Literal["free", "line1", "line2", "line3", "line4"] = "free"  # free: exposes at frame_rate_hz by itself
     folder: Path | None = None  # emulation only: BMP or TIFF files played once, in the order of their names
 
+    @property
+    def source(self) -> Source:
+        return Source.LIVE if self.folder is None else Source.REPLAY
+
 
 @asynccontextmanager
 async def open_camera(name: str, settings: Settings, clock: Clock) -> AsyncIterator["BaslerCamera"]:
@@ -47,11 +52,7 @@ async def open_camera(name: str, settings: Settings, clock: Clock) -> AsyncItera
     device = f"camera {name}"
     if settings.serial.startswith(EMULATED):
         os.environ.setdefault("PYLON_CAMEMU", EMULATED_CAMERAS)
-    try:
-        from pypylon import genicam, pylon  # noqa: PLC0415 - a cell without Basler cameras starts without it
-    except ImportError as err:
-        raise DeviceMissing(device, "load pypylon", f"{err}: pip install 'trackerd[basler]'") from err
-    sdk = Sdk(device, pylon, genicam.GenericException)
+    sdk = _load(device)
     with _playlist(device, settings.folder) as (folder, count):
         handle = await sdk.run("open", OPEN_S, lambda: _connect(sdk, settings.serial))
         try:
@@ -165,6 +166,17 @@ class BaslerCamera:
         # The stamp is taken where the exposure starts, in ns (ace USB manual AW00123409, 7.23.3.4).
         middle = CameraNs(result.TimeStamp + exposure_ns // 2) if result.TimeStamp else None
         self._mailbox.deliver(Frame(image, result.BlockID, middle, self._clock.now(), exposure_ns, self._origin))
+
+
+def _load(device: str) -> Sdk:
+    """A cell without Basler cameras starts without pypylon, so it is imported where it is needed."""
+    try:
+        with warnings.catch_warnings():  # SWIG's deprecation warnings: pypylon crashes where they are made errors
+            warnings.simplefilter("ignore", DeprecationWarning)
+            from pypylon import genicam, pylon  # noqa: PLC0415
+    except ImportError as err:
+        raise DeviceMissing(device, "load pypylon", f"{err}: pip install 'trackerd[basler]'") from err
+    return Sdk(device, pylon, genicam.GenericException)
 
 
 def _connect(sdk: Sdk, serial: str) -> Any:

@@ -17,7 +17,7 @@ from drivers.camera.threads import run_in_thread
 from drivers.table import read_rows
 from trackerd.contract.clock import CameraNs, Clock, ClockKind
 from trackerd.contract.errors import ConfigError, DeviceFault, RecordingEnded
-from trackerd.contract.model import CameraInfo, CameraStatistics, Frame, Image
+from trackerd.contract.model import CameraInfo, CameraStatistics, Frame, Image, Source
 from trackerd.formats.settings import CameraSettings
 
 SUFFIXES = frozenset({".bmp", ".tif", ".tiff", ".png", ".pgm"})
@@ -26,6 +26,10 @@ SUFFIXES = frozenset({".bmp", ".tif", ".tiff", ".png", ".pgm"})
 class Settings(CameraSettings):
     folder: Path  # BMP, TIFF, PNG or PGM files, 8 or 16 bits, all of width_px x height_px
     csv: Path | None = None  # columns frame,t_ns: the recorded mid-exposure; default: n / frame_rate_hz
+
+    @property
+    def source(self) -> Source:
+        return Source.REPLAY
 
 
 @asynccontextmanager

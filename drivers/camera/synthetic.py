@@ -15,7 +15,7 @@ import numpy as np
 from drivers.camera.mailbox import Mailbox
 from trackerd.contract.clock import CameraNs, Clock, ClockKind
 from trackerd.contract.errors import DeviceError, DeviceFault, DeviceMissing, DeviceTimeout
-from trackerd.contract.model import CameraInfo, CameraStatistics, Frame
+from trackerd.contract.model import CameraInfo, CameraStatistics, Frame, Source
 from trackerd.formats.framelink import SLOT_HEADER, Doorbell, Offer, pack_message, unpack_doorbell, unpack_message
 from trackerd.formats.settings import CameraSettings
 
@@ -28,6 +28,10 @@ class Settings(CameraSettings):
     """The twin's own offer rules over exposure, rate and region, so that both sides can never differ."""
 
     socket: str = ""  # path of the twin's Unix socket; the twin tells it when it starts
+
+    @property
+    def source(self) -> Source:
+        return Source.TWIN
 
 
 @asynccontextmanager

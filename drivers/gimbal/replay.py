@@ -7,7 +7,7 @@ from pathlib import Path
 from drivers.table import read_rows
 from trackerd.contract.clock import Clock, ClockKind, ControllerUs
 from trackerd.contract.errors import ConfigError
-from trackerd.contract.model import AxisCommand, GimbalFlag, GimbalInfo, GimbalReport, Latch
+from trackerd.contract.model import AxisCommand, GimbalFlag, GimbalInfo, GimbalReport, Latch, Source
 from trackerd.formats.settings import GimbalSettings
 
 COLUMNS = ("gimbal", "frame", "t_ns", "az_rad", "el_rad")
@@ -15,6 +15,10 @@ COLUMNS = ("gimbal", "frame", "t_ns", "az_rad", "el_rad")
 
 class Settings(GimbalSettings):
     csv: Path  # columns gimbal,frame,t_ns,az_rad,el_rad; the rows of other gimbals are left alone
+
+    @property
+    def source(self) -> Source:
+        return Source.REPLAY
 
 
 @asynccontextmanager
