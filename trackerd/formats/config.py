@@ -87,7 +87,7 @@ class _Reader:
         if not isinstance(value, str) or not value:
             self.problems.add((), "calibration", value, "must be the calibration file's path in quotes")
             return self.path, None
-        path = (self.path.parent / value).absolute()
+        path = (self.path.parent / value).resolve()
         if not path.is_file():
             self.problems.add((), "calibration", value, f"no such file: {path}")
             return path, None

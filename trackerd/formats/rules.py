@@ -12,7 +12,7 @@ from pydantic_core import ErrorDetails
 
 from trackerd.formats.settings import KeyRuleError
 
-LONGEST_VALUE = 60
+LONGEST_VALUE = 80
 NO_VALUE = object()
 WORDS = {
     "bool_type": "must be true or false",

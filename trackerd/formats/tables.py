@@ -118,7 +118,7 @@ def resolved(model: Model, base: Path, problems: Problems, table: Sequence[str])
         if isinstance(value, BaseModel):
             changed[name] = resolved(value, base, problems, (*table, name))
         elif isinstance(value, Path):
-            changed[name] = (base / value).absolute()
+            changed[name] = (base / value).resolve()
             if name in model.model_fields_set and not changed[name].exists():
                 problems.add(table, name, str(value), f"no such file or folder: {changed[name]}")
     return model.model_copy(update=changed)
