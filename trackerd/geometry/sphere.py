@@ -1,8 +1,8 @@
 """The outline of a sphere: exact, both ways.
 
 A sphere seen from outside is a cone; its section with the plane at unit distance is an ellipse with centre x_e and semi-axes
-a (radial) >= b. With p the projection of the sphere's centre: p = x_e / (1 + b^2), sin^2(alpha) = b^2 / ((1 + b^2) (1 + |p|^2)),
-a^2 = b^2 (1 + |x_e|^2 / (1 + b^2)), range = R / sin(alpha).
+a (radial) >= b. With p the projection of the sphere's centre: p = x_e / (1 + b^2),
+sin^2(alpha) = b^2 / ((1 + b^2) (1 + |p|^2)), a^2 = b^2 (1 + |x_e|^2 / (1 + b^2)), range = R / sin(alpha).
 """
 
 from dataclasses import dataclass

@@ -1,0 +1,115 @@
+"""Lines of sight to a point, with its covariance."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import cos, radians, sqrt
+
+import numpy as np
+
+from trackerd.contract.errors import Degenerate
+from trackerd.contract.model import Array, Sightline
+from trackerd.geometry.rigid import cross
+
+COS_PARALLEL = cos(radians(1.0))
+STEPS = 2  # ranges follow from the point; after the first solution they are right to the noise, so that one more converges
+
+
+@dataclass(frozen=True, slots=True)
+class Point:
+    """In W. `cov_mm2` is the random part; miss is the distance of the skew lines (K = 2), else the rms distance."""
+
+    p_mm: Array  # (3,)
+    cov_mm2: Array  # (3, 3)
+    systematic_cov_mm2: Array  # (3, 3), from the lines' fixed parts
+    miss_mm: float
+    miss_sigma_mm: float  # 1 sigma of the miss distance, both parts
+    chi2: float  # of the random part
+    dof: int
+    ranges_mm: Array  # (K,) from each entrance pupil
+
+
+@dataclass(frozen=True, slots=True)
+class _Bundle:
+    origins_mm: Array  # (K, 3)
+    directions: Array  # (K, 3)
+    information: Array  # (K, 3, 3) per rad^2, rank 2: the pseudo-inverse of the covariance
+    cov_rad2: Array  # (K, 3, 3) both parts
+    fixed_cov_rad2: Array  # (K, 3, 3)
+
+
+def triangulate(lines: Sequence[Sightline]) -> Point:
+    """Point nearest to all lines of sight, each weighted by its angular covariance times its range squared.
+
+    Generalises Eqs 3.14-3.17 of the source thesis, which weigh all lines alike; reweighted with the ranges of its own
+    solution it is the maximum-likelihood point to first order in the angular noise. Raises Degenerate below two lines, where
+    all are within 1 deg of parallel, where the point is behind a camera, and for covariances or vectors that are no such.
+    """
+    bundle = _bundle(lines)
+    ranges = np.ones(len(lines))
+    for _ in range(STEPS):
+        p_mm = _solve(bundle, ranges)[0]
+        ranges = np.sqrt(((p_mm - bundle.origins_mm) ** 2).sum(axis=1))
+    p_mm, cov, weights = _solve(bundle, ranges)
+    offsets = p_mm - bundle.origins_mm
+    along = (offsets * bundle.directions).sum(axis=1)
+    if not along.min() > 0.0:  # also where it is not a number
+        raise Degenerate(f"the lines meet behind the camera of station {lines[int(np.argmin(along))].station}")
+    gains = cov @ weights  # (K, 3, 3): d point / d offset of line k
+    gains *= ranges[:, None, None]
+    systematic = (gains @ bundle.fixed_cov_rad2 @ gains.transpose(0, 2, 1)).sum(axis=0)
+    chi2 = float((offsets[:, None, :] @ weights @ offsets[:, :, None]).sum())
+    miss, sigma = _miss(bundle, offsets, along, ranges)
+    return Point(p_mm, cov, systematic, miss, sigma, chi2, 2 * len(lines) - 3, ranges)
+
+
+def _bundle(lines: Sequence[Sightline]) -> _Bundle:
+    if len(lines) < 2:
+        raise Degenerate(f"a point needs two lines of sight, here {len(lines)}")
+    origins = np.array([line.origin_mm for line in lines])
+    directions = np.array([line.direction for line in lines])
+    random = np.array([line.cov_rad2 for line in lines])
+    fixed = np.array([line.fixed_cov_rad2 for line in lines])
+    if not np.isfinite(origins.sum() + directions.sum() + random.sum() + fixed.sum()):
+        raise Degenerate("a line of sight is not finite")
+    if np.abs(directions @ directions.T).min() > COS_PARALLEL:
+        raise Degenerate("all lines of sight are within 1 deg of parallel")
+    return _Bundle(origins, directions, _information(random, directions), random + fixed, fixed)
+
+
+def _information(cov_rad2: Array, directions: Array) -> Array:
+    """Pseudo-inverses of the covariances across the directions, (K, 3, 3).
+
+    Projected on both sides: over a range of metres a share of 1e-6 along the line would already pull the point.
+    """
+    scale = cov_rad2.trace(axis1=1, axis2=2)[:, None, None] / 2.0
+    along = directions[:, :, None] * directions[:, None, :]
+    across = np.eye(3) - along
+    try:
+        information = across @ np.linalg.inv(across @ cov_rad2 @ across + scale * along) @ across
+    except (np.linalg.LinAlgError, FloatingPointError) as err:
+        raise Degenerate("a line of sight has a singular covariance") from err
+    if not (scale.min() > 0.0 and np.isfinite(information.sum())):
+        raise Degenerate("a line of sight has a covariance that is not positive")
+    return np.asarray(information)
+
+
+def _solve(bundle: _Bundle, ranges_mm: Array) -> tuple[Array, Array, Array]:
+    """Point, its covariance, and the weights (K, 3, 3) per mm^2."""
+    weights = bundle.information / (ranges_mm**2)[:, None, None]
+    try:
+        cov = np.linalg.inv(weights.sum(axis=0))
+    except np.linalg.LinAlgError as err:
+        raise Degenerate("the lines of sight do not determine a point") from err
+    return cov @ (weights @ bundle.origins_mm[:, :, None]).sum(axis=0)[:, 0], cov, weights
+
+
+def _miss(bundle: _Bundle, offsets: Array, along: Array, ranges_mm: Array) -> tuple[float, float]:
+    """Miss distance and its sigma: along the common normal for two lines, rms over the lines for more."""
+    if len(offsets) == 2:
+        normal = cross(bundle.directions[0], bundle.directions[1])
+        normal /= sqrt(float(normal @ normal))
+        variance = float((ranges_mm**2 * (normal @ bundle.cov_rad2 @ normal)).sum())
+        return abs(float(normal @ (bundle.origins_mm[1] - bundle.origins_mm[0]))), sqrt(variance)
+    across = offsets - along[:, None] * bundle.directions
+    spread = ranges_mm**2 * bundle.cov_rad2.trace(axis1=1, axis2=2)
+    return sqrt(float((across**2).sum()) / len(offsets)), sqrt(float(spread.mean()))
