@@ -15,7 +15,7 @@ from itertools import count
 CLOCK_MONOTONIC = 1
 TFD_CLOEXEC, TFD_NONBLOCK, TFD_TIMER_ABSTIME = 0o2000000, 0o4000, 1
 _ITIMERSPEC = struct.Struct("@qqqq")  # interval s, ns; value s, ns
-_libc = ctypes.CDLL(None, use_errno=True)
+_libc = ctypes.PyDLL(None, use_errno=True)  # keeps the interpreter lock: both calls take microseconds
 
 
 class Alarm:

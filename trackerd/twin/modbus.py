@@ -1,7 +1,7 @@
 """Modbus TCP, the serving side: the codec as a pure function, and one listening port per gimbal.
 
 Written out instead of pymodbus's own server for three reasons: there a read-write (FC23) reaches the data in two unrelated
-calls, so that one request is not one snapshot; it has no place for a controller that is silent, nor for telling who disconnected;
+calls, so that one request is not one snapshot; it has no place for a controller that is silent, nor for telling who is gone;
 and at 2 x 200 requests/s it takes 13 % of a core before it has done anything.
 """
 

@@ -24,6 +24,7 @@ from trackerd.twin.requests import ControlDesk
 from trackerd.twin.truth import PERIOD_NS, TruthPublisher, truth_message
 
 LOOPBACK = "127.0.0.1"
+SWITCH_S = 2e-4  # a renderer keeps the interpreter no longer than this from a request that waits for its answer
 
 
 async def run_twin(
@@ -41,6 +42,7 @@ async def run_twin(
     input ends. Raises ConfigError for a calibration that cannot be read, OSError where a port is taken.
     """
     cv2.setNumThreads(1)  # each camera has a worker of its own
+    sys.setswitchinterval(SWITCH_S)
     gone = parent_gone or asyncio.Event()
     async with _stop_signals() as stopped, _stdin_watched(watch_stdin, gone), _opened(cell) as whereabouts:
         announce(whereabouts)
