@@ -1,0 +1,224 @@
+"""One station's tracker as a state machine: frame and latched angles in, outline, line of sight and set-point out.
+
+searching -> locked after two consistent, verified outlines in a row; locked -> coasting when missed, with the prediction going
+on and the gate growing; coasting -> searching when it has missed more than `coast_frames` frames.
+"""
+
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+
+from trackerd.contract.clock import HostNs
+from trackerd.contract.errors import Degenerate
+from trackerd.contract.model import Array, AxisAngles, Found, Frame, Missed, NoAngle, Outline, Sightline, TrackState
+from trackerd.formats.settings import CameraSettings, SteeringSettings, TrackingSettings
+from trackerd.geometry.gimbal import Station
+from trackerd.geometry.sightline import Instants, sightline
+from trackerd.steering.follow import Looked, SetPoint, angle_from_offset, follow
+from trackerd.steering.motion import Motion
+from trackerd.vision.acquire import Acquisition, Expected
+from trackerd.vision.drift import Drift
+from trackerd.vision.noise import NoiseModel
+
+CONFIRMED = 2  # consistent outlines in a row that make a lock
+LONGEST_DELAY_NS = 200_000_000  # a frame that arrived later than this after its exposure is no base for a set-point's instant
+
+Pixel = tuple[float, float]
+Selected = Literal["pixel", "itself"]
+
+
+@dataclass(frozen=True, slots=True)
+class Step:
+    """What one frame said."""
+
+    frame_id: int
+    instant: HostNs  # mid-exposure
+    state: TrackState
+    outline: Outline  # in sensor coordinates
+    sightline: Sightline | None  # only when locked, with angles
+    set_point: SetPoint | None  # locked: to follow; coasting: the last one, moved on; searching: None
+    offset_px: Pixel | None  # of the target from the aim pixel
+    angles: AxisAngles | None
+    jacobian: Array | None  # (2, 2) d px / d encoder rad at the target
+    target_selected: Selected  # how the target was chosen
+    why: str  # why there is no lock, no line of sight or no set-point; empty: nothing is missing
+
+
+@dataclass(frozen=True, slots=True)
+class _View:
+    """A found target, seen at known angles."""
+
+    line: Sightline
+    jacobian: Array
+    looked: Looked
+
+
+class Tracker:
+    """Keeps one target of one station. `step` runs in a worker; `select` may be called from elsewhere between two steps."""
+
+    def __init__(
+        self,
+        station: Station,
+        radius_mm: float,
+        camera: CameraSettings,
+        steering: SteeringSettings,
+        tracking: TrackingSettings,
+    ) -> None:
+        self._station = station
+        self._radius_mm = radius_mm
+        self._steering = steering
+        self._coast_frames = tracking.coast_frames
+        self._lead_ns = round(0.5e9 / camera.frame_rate_hz)  # a set-point is in use until the next: it fits best half-way
+        self._acquisition = Acquisition(NoiseModel(camera.gain_e_per_dn, camera.read_noise_e), tracking)
+        self._motion = Motion()
+        self._drift = Drift()
+        self._selection: tuple[Pixel | None] = (tracking.target_px,)  # taken over by the next step
+        self._taken: tuple[Pixel | None] | None = None
+        self._wanted_px: Pixel | None = None
+        self._selected: Selected = "itself"
+        self._state = TrackState.SEARCHING
+        self._seen = self._missed = 0  # consistent outlines so far; frames since the last one
+        self._last: Found | None = None  # in sensor coordinates
+        self._jacobian: Array | None = None
+        self._set_point: SetPoint | None = None
+
+    def select(self, pixel: Pixel | None) -> None:
+        """Choose the ball nearest to a sensor pixel, or (None) whichever is found; takes effect in the next step."""
+        self._selection = (pixel,)
+
+    def step(self, frame: Frame, angles: AxisAngles | NoAngle, instants: Instants) -> Step:
+        self._take_selection()
+        known = angles if isinstance(angles, AxisAngles) else None
+        aim_px = self._aim(frame)
+        outline = self._look(frame, known, instants.exposed, aim_px)
+        self._advance(outline)
+        offset_px, view, trouble = None, None, angles.reason if isinstance(angles, NoAngle) else ""
+        if isinstance(outline, Found):
+            self._last = outline
+            self._drift.update(instants.exposed, outline.x_px, outline.y_px)
+            offset_px = (outline.x_px - aim_px[0], outline.y_px - aim_px[1])
+            view, trouble = self._view(outline, angles, offset_px, instants)
+            if self._state is TrackState.LOCKED:
+                self._acquisition.learn(frame.image, _shifted(outline, frame.origin_px, -1))
+        self._set_point = self._follow(view, instants)
+        locked = self._state is TrackState.LOCKED
+        return Step(
+            frame_id=frame.frame_id,
+            instant=instants.exposed,
+            state=self._state,
+            outline=outline,
+            sightline=view.line if view is not None and locked else None,
+            set_point=self._set_point,
+            offset_px=offset_px,
+            angles=known,
+            jacobian=None if view is None else view.jacobian,
+            target_selected=self._selected,
+            why=_why(self._state, outline, trouble),
+        )
+
+    # ---- state -------------------------------------------------------------------------------------------------------
+
+    def _forget(self) -> None:
+        self._state = TrackState.SEARCHING
+        self._seen = self._missed = 0
+        self._last = self._jacobian = self._set_point = None
+        self._motion.reset()
+        self._drift.forget()
+        self._acquisition.forget()
+
+    def _take_selection(self) -> None:
+        selection = self._selection
+        if selection is not self._taken:
+            self._forget()
+            self._taken, self._wanted_px = selection, selection[0]
+            self._selected = "itself" if selection[0] is None else "pixel"
+
+    def _advance(self, outline: Outline) -> None:
+        if isinstance(outline, Found):
+            self._seen, self._missed = self._seen + 1, 0
+            if self._state is TrackState.COASTING or self._seen >= CONFIRMED:
+                self._state, self._wanted_px = TrackState.LOCKED, None
+            return
+        self._missed += 1
+        if self._state is TrackState.SEARCHING:
+            self._forget()
+        elif self._missed > self._coast_frames:
+            self._forget()
+            self._selected = "itself"  # what is found next is whatever is found
+        else:
+            self._state = TrackState.COASTING
+
+    # ---- image -------------------------------------------------------------------------------------------------------
+
+    def _look(self, frame: Frame, angles: AxisAngles | None, exposed: HostNs, aim_px: Pixel) -> Outline:
+        """Outline in sensor coordinates."""
+        x0, y0 = frame.origin_px
+        if self._last is None:
+            near = None if self._wanted_px is None else (self._wanted_px[0] - x0, self._wanted_px[1] - y0)
+            outline = self._acquisition.anywhere(frame.image, frame.frame_id, near)
+        else:
+            x, y = self._expected_px(angles, exposed, aim_px, self._last)
+            expected = Expected((x - x0, y - y0, self._last.r_px), self._missed)
+            outline = self._acquisition.near(frame.image, frame.frame_id, expected)
+        return _shifted(outline, frame.origin_px, 1) if isinstance(outline, Found) else outline
+
+    def _expected_px(self, angles: AxisAngles | None, exposed: HostNs, aim_px: Pixel, last: Found) -> Pixel:
+        """Sensor pixel: the target's predicted angles against the axes' latched ones, else its drift in the image."""
+        target = self._motion.predict(exposed)
+        if angles is not None and target is not None and self._jacobian is not None:
+            missing = np.array((target.az_rad - angles.az_rad, target.el_rad - angles.el_rad))
+            x, y = (self._jacobian @ missing).tolist()
+            return aim_px[0] - x, aim_px[1] - y
+        return self._drift.predict(exposed) or (last.x_px, last.y_px)
+
+    def _aim(self, frame: Frame) -> Pixel:
+        """The configured pixel, or the centre of the region."""
+        if self._steering.aim_px is not None:
+            return self._steering.aim_px
+        height, width = frame.image.shape
+        return frame.origin_px[0] + 0.5 * (width - 1), frame.origin_px[1] + 0.5 * (height - 1)
+
+    # ---- geometry and steering ---------------------------------------------------------------------------------------
+
+    def _view(
+        self, found: Found, angles: AxisAngles | NoAngle, offset_px: Pixel, instants: Instants
+    ) -> tuple[_View | None, str]:
+        """Line of sight and what is missing to the aim pixel; None and why, where there are no angles."""
+        if isinstance(angles, NoAngle):
+            return None, angles.reason
+        line = sightline(self._station, found, angles, self._radius_mm, instants)
+        p_world_mm = line.origin_mm + line.range_mm * line.direction
+        jacobian = self._station.pixel_jacobian(p_world_mm, angles.az_rad, angles.el_rad)
+        try:
+            pixel_angle = angle_from_offset(jacobian, offset_px)
+        except Degenerate as error:
+            return None, str(error)
+        self._jacobian = jacobian
+        self._motion.update(instants.exposed, angles.az_rad + pixel_angle[0], angles.el_rad + pixel_angle[1])
+        return _View(line, jacobian, Looked(instants.exposed, angles, pixel_angle, offset_px)), ""
+
+    def _follow(self, view: _View | None, instants: Instants) -> SetPoint | None:
+        if self._state is TrackState.SEARCHING:
+            return None
+        delay_ns = min(max(instants.received - instants.exposed, 0), LONGEST_DELAY_NS)
+        at = HostNs(instants.exposed + delay_ns + self._lead_ns)
+        previous = self._set_point
+        if view is None:
+            return None if previous is None else previous.moved_to(at)
+        steering = self._steering
+        predict = self._motion.predict if steering.feed_forward else None
+        return follow(view.looked, steering.gain, steering.deadband_px, at, predict, previous)
+
+
+def _shifted(found: Found, origin_px: tuple[int, int], sign: int) -> Found:
+    """Image to sensor coordinates (sign 1) and back (-1)."""
+    return replace(found, x_px=found.x_px + sign * origin_px[0], y_px=found.y_px + sign * origin_px[1])
+
+
+def _why(state: TrackState, outline: Outline, trouble: str) -> str:
+    if isinstance(outline, Missed):
+        return outline.reason
+    if state is TrackState.SEARCHING:
+        return "found once: to be confirmed by the next frame"
+    return trouble

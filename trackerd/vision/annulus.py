@@ -1,0 +1,92 @@
+"""The pixels of a ring round a circle, parted into sectors: a table that depends on the radius alone, so it is kept."""
+
+from dataclasses import dataclass
+from functools import lru_cache
+from math import ceil, pi
+
+import numpy as np
+import numpy.typing as npt
+
+from trackerd.contract.model import Image
+
+Floats = npt.NDArray[np.float32]
+Whole = npt.NDArray[np.intp]
+
+FEW_SECTORS, MANY_SECTORS = 48, 96
+MANY_FROM_PX = 25  # a smaller circle has too few pixels for 96 sectors
+
+
+@dataclass(frozen=True, slots=True)
+class Ring:
+    """Offsets of pixels from a whole-numbered centre. All (S, n): sector by sector, filled up with copies of weight 0."""
+
+    dx: Floats
+    dy: Floats
+    column: Whole
+    row: Whole
+    weight: Floats  # 1 for a pixel, 0 for a copy that only fills up
+    design: npt.NDArray[np.float64]  # (S, 3): unit vector of the sector's middle, and 1: d (edge's offset) / d (x, y, r)
+    reach_px: int  # no offset is greater
+
+
+@dataclass(frozen=True, slots=True)
+class Gathered:
+    """Grey values of a ring's pixels, (S, n), and their weights: 0 outside the image."""
+
+    level: Floats
+    weight: Floats
+
+
+@lru_cache(maxsize=32)
+def ring(radius_px: int, inside_px: int, outside_px: int) -> Ring:
+    """Pixels with -inside <= distance - radius <= outside."""
+    reach = radius_px + outside_px + 1
+    side = np.arange(-reach, reach + 1)
+    column, row = (a.ravel() for a in np.meshgrid(side, side))
+    distance = np.hypot(column, row)
+    kept = (distance >= max(radius_px - inside_px, 1)) & (distance <= radius_px + outside_px)
+    column, row = column[kept], row[kept]
+    sectors = MANY_SECTORS if radius_px >= MANY_FROM_PX else FEW_SECTORS
+    turn = np.arctan2(row, column) / (2.0 * pi) * sectors
+    order, weight = _fill(np.floor(turn).astype(np.intp) % sectors, sectors)
+    column, row = column[order], row[order]
+    middle = (np.arange(sectors) + 0.5) * (2.0 * pi / sectors)
+    return Ring(
+        column.astype(np.float32),
+        row.astype(np.float32),
+        column.astype(np.intp),
+        row.astype(np.intp),
+        weight,
+        np.column_stack((np.cos(middle), np.sin(middle), np.ones(sectors))),
+        reach,
+    )
+
+
+def ring_for(radius_px: float, sigma_px: float) -> Ring:
+    """The ring that an edge of this blur needs: wide enough for both levels, no wider (clutter is near)."""
+    inside, outside = (8, 5) if sigma_px <= 1.2 else (ceil(4.0 * sigma_px + 6.0), ceil(4.0 * sigma_px + 4.0))
+    whole = max(round(radius_px), 3)
+    return ring(whole, min(inside, max(round(0.6 * whole), 2)), outside)
+
+
+def gather(image: Image, pixels: Ring, column: int, row: int) -> Gathered:
+    """Grey values round a pixel of the image."""
+    height, width = image.shape
+    reach = pixels.reach_px
+    if reach <= column < width - reach and reach <= row < height - reach:
+        return Gathered(image[pixels.row + row, pixels.column + column].astype(np.float32), pixels.weight)
+    x, y = pixels.column + column, pixels.row + row
+    inside = (x >= 0) & (x < width) & (y >= 0) & (y < height)
+    level = image[np.clip(y, 0, height - 1), np.clip(x, 0, width - 1)].astype(np.float32)
+    return Gathered(level, pixels.weight * inside)
+
+
+def _fill(sector: Whole, sectors: int) -> tuple[Whole, Floats]:
+    """Indices (S, n) of each sector's pixels, and which of them only fill up."""
+    order = np.argsort(sector, kind="stable")
+    count = np.bincount(sector, minlength=sectors)
+    first = np.concatenate(((0,), np.cumsum(count)[:-1]))
+    place = np.arange(count.max())[None, :]
+    real = place < count[:, None]
+    index = first[:, None] + np.minimum(place, np.maximum(count - 1, 0)[:, None])
+    return order[np.minimum(index, len(order) - 1)], real.astype(np.float32)

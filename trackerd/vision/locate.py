@@ -1,0 +1,96 @@
+"""The outline of the ball in one image: near a guess, or anywhere. Every answer has passed the same fit and verification."""
+
+from math import hypot, isfinite
+
+import numpy as np
+
+from trackerd.contract.model import Found, Image, Missed, Outline
+from trackerd.vision.fit import fit_circle
+from trackerd.vision.noise import NoiseModel
+from trackerd.vision.rays import REACH_PX, Circle, first_circle
+from trackerd.vision.search import candidates
+from trackerd.vision.verify import LEAST_COVERAGE, LEAST_COVERAGE_SEARCHED, verified
+
+RADIUS_PX = (4.0, 2000.0)  # what the ring and its sectors can do
+SEARCHED_PX = (12.0, 250.0)
+SMALLEST_IMAGE_PX = 16
+NEAR_RADII = 3.0  # a target chosen by pixel is the nearest outline within this many of its radii
+
+
+def locate(image: Image, guess: Circle | None, noise: NoiseModel = NoiseModel(), reach_px: float = REACH_PX) -> Outline:  # noqa: B008
+    """Outline of the ball; coordinates are the image's own, an integer is a pixel's centre.
+
+    With a guess (x, y, r) the outline is looked for within r (1 ± 0.2) ± `reach_px` of the guessed centre; without, everywhere.
+    Raises TypeError for pixels that are not uint8 or uint16, ValueError for an image that is not (height, width).
+    """
+    check_image(image)
+    if guess is None:
+        return search(image, noise)
+    refusal = _refusal(image, guess)
+    return Missed(refusal) if refusal else _outline(image, guess, noise, LEAST_COVERAGE, reach_px)
+
+
+def search(
+    image: Image,
+    noise: NoiseModel,
+    radius_px: tuple[float, float] = SEARCHED_PX,
+    near_px: tuple[float, float] | None = None,
+) -> Outline:
+    """The outline with the best coverage of those found anywhere, or the one nearest to a pixel, within three of its radii."""
+    check_image(image)
+    if min(image.shape) < SMALLEST_IMAGE_PX:
+        return Missed(f"the image of {image.shape[1]} x {image.shape[0]} px is too small to search")
+    found: list[Found] = []
+    for seed in candidates(image, radius_px):
+        if _refusal(image, seed) or any(_same(seed, other) for other in found):
+            continue
+        outline = _outline(image, seed, noise, LEAST_COVERAGE_SEARCHED, REACH_PX)
+        if isinstance(outline, Missed) or not radius_px[0] <= outline.r_px <= radius_px[1]:
+            continue
+        if near_px is None:
+            return outline
+        found.append(outline)
+    within = [f for f in found if near_px is not None and _distance(f, near_px) <= NEAR_RADII * f.r_px]
+    if near_px is None:
+        return Missed("nothing round in the image passes the verification")
+    if not within:
+        return Missed(f"no ball within {NEAR_RADII:.0f} radii of pixel ({near_px[0]:.0f}, {near_px[1]:.0f})")
+    return min(within, key=lambda f: _distance(f, near_px))
+
+
+def check_image(image: Image) -> None:
+    if not isinstance(image, np.ndarray) or image.dtype not in (np.uint8, np.uint16):
+        raise TypeError(f"an image of uint8 or uint16 is expected, not {getattr(image, 'dtype', type(image).__name__)}")
+    if image.ndim != 2 or image.size == 0:
+        raise ValueError(f"an image of shape (height, width) is expected, not {image.shape}")
+
+
+def _outline(image: Image, guess: Circle, noise: NoiseModel, least_coverage: float, reach_px: float) -> Outline:
+    first = first_circle(image, guess, noise, reach_px)
+    if first is None:
+        return Missed("no circle of edges near the guess")
+    fit = fit_circle(image, first, noise)
+    if fit is None:
+        return Missed("the edges near the guess are no outline")
+    return verified(fit, noise, least_coverage)
+
+
+def _refusal(image: Image, guess: Circle) -> str:
+    """Why a guess cannot be used; empty if it can."""
+    x, y, r = guess
+    height, width = image.shape
+    if not all(isfinite(value) for value in guess):
+        return "the guess is not a number"
+    if not RADIUS_PX[0] <= r <= min(RADIUS_PX[1], max(width, height)):
+        return f"the guessed radius of {r:.1f} px is absurd"
+    if not (-r < x < width + r and -r < y < height + r):
+        return f"the guess ({x:.0f}, {y:.0f}) is outside the image"
+    return ""
+
+
+def _same(seed: Circle, found: Found) -> bool:
+    return hypot(seed[0] - found.x_px, seed[1] - found.y_px) < 0.3 * found.r_px
+
+
+def _distance(found: Found, pixel: tuple[float, float]) -> float:
+    return hypot(found.x_px - pixel[0], found.y_px - pixel[1])

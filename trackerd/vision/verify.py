@@ -1,0 +1,38 @@
+"""Whether a fit is an outline: enough of it carries an edge that is strong, well placed and on the circle."""
+
+import numpy as np
+
+from trackerd.contract.model import Found, Missed, Outline
+from trackerd.vision.fit import CircleFit, Sectors
+from trackerd.vision.noise import NoiseModel
+
+LEAST_COVERAGE = 0.50  # of the outline, where a guess led here
+LEAST_COVERAGE_SEARCHED = 0.55  # where anything round was tried
+LEAST_CONTRAST = 2.0  # in units of one pixel's noise: 3 grey levels at 39 e- a level
+WORST_EDGE_PX = 0.5  # sigma of a sector's edge
+NEAR_PX, NEAR_SIGMA = 0.35, 4.0  # an edge this near to the circle is on it
+POOR_CHI2 = 12.0  # a sector that looks like no edge at all
+
+
+def verified(fit: CircleFit, noise: NoiseModel, least_coverage: float) -> Outline:
+    if not fit.settled:
+        return Missed("the circle fit did not settle")
+    coverage = float(edge_sectors(fit.sectors, noise).mean())
+    if coverage < least_coverage:
+        return Missed(f"only {100 * coverage:.0f} % of the outline carry an edge ({100 * least_coverage:.0f} % needed)")
+    variance = np.diag(fit.cov_px2)
+    if not (np.isfinite(variance).all() and (variance > 0.0).all()):
+        return Missed("the outline does not determine a circle")
+    used = fit.weight > 0.0
+    chi2 = float(np.average(fit.sectors.chi2[used], weights=fit.weight[used])) if used.any() else 0.0
+    return Found(fit.x_px, fit.y_px, fit.r_px, fit.cov_px2, coverage, chi2, fit.clipped)
+
+
+def edge_sectors(sectors: Sectors, noise: NoiseModel) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
+    """The sectors (S,) that speak for the circle."""
+    sigma_dn = np.sqrt(np.maximum(sectors.level_dn, 0.0) / noise.gain_e_per_dn + noise.floor_dn2)
+    sigma_px = 1.0 / np.sqrt(sectors.information)
+    strong = np.abs(sectors.contrast_dn) > LEAST_CONTRAST * sigma_dn
+    near = np.abs(sectors.offset_px) < np.maximum(NEAR_PX, NEAR_SIGMA * sigma_px)
+    good: np.ndarray[tuple[int], np.dtype[np.bool_]] = strong & (sigma_px < WORST_EDGE_PX) & near & (sectors.chi2 < POOR_CHI2)
+    return good
