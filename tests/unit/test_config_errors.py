@@ -277,6 +277,16 @@ def test_a_file_that_is_not_utf8_is_told_with_the_byte(tmp_path: Path) -> None:
         load_cell(tmp_path / "cell.toml", settings_of=settings_of)
 
 
+@pytest.mark.parametrize("text", ["name = " + "[" * 100_000, "name = " + "1" * 10_000])
+def test_what_breaks_the_parser_is_a_configuration_error(tmp_path: Path, text: str) -> None:
+    assert errors(tmp_path, text) == ["cell.toml: is no configuration: nested too deeply, or a number too long"]
+
+
+def test_a_name_with_a_line_end_does_not_break_the_line(tmp_path: Path) -> None:
+    found = errors(tmp_path, CELL.replace('camera = "right"', 'camera = "a\\nb"'))
+    assert all(line.startswith("cell.toml [") for line in found)
+
+
 def test_a_missing_calibration_is_told_with_its_whole_path(tmp_path: Path) -> None:
     text = CELL.replace('"calibration.toml"', '"gone.toml"')
     assert errors(tmp_path, text) == [f'cell.toml calibration = "gone.toml": no such file: {tmp_path}/gone.toml']

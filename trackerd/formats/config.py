@@ -21,7 +21,7 @@ from trackerd.formats.settings import (
     Settings,
     ZenohSettings,
 )
-from trackerd.formats.tables import Problems, Tables, override, read_tables, resolved, subtable
+from trackerd.formats.tables import Problems, Tables, located, override, read_tables, resolved, subtable
 from trackerd.formats.twin import TwinSettings
 
 KEYS = ("name", "calibration", "probe", "camera", "gimbal", "fusion", "zenoh", "service", "twin")
@@ -87,7 +87,7 @@ class _Reader:
         if not isinstance(value, str) or not value:
             self.problems.add((), "calibration", value, "must be the calibration file's path in quotes")
             return self.path, None
-        path = (self.path.parent / value).resolve()
+        path = located(self.path.parent, value)
         if not path.is_file():
             self.problems.add((), "calibration", value, f"no such file: {path}")
             return path, None

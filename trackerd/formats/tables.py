@@ -1,6 +1,7 @@
 """TOML files as nested tables, and tables checked against models. Errors are collected, so that one look shows them all."""
 
 import json
+import os
 import re
 import tomllib
 from collections.abc import Mapping, Sequence
@@ -49,6 +50,7 @@ class Problems:
             raise ConfigError("\n".join(self.lines))
 
     def _add(self, text: str) -> None:
+        text = " ".join(text.splitlines())  # a name in quotes may hold a line's end
         if text not in self.lines:
             self.lines.append(text)
 
@@ -74,6 +76,8 @@ def read_tables(path: Path) -> Tables:
         raise ConfigError(f"{path.name}: byte {err.start} is not UTF-8: save the file as UTF-8 text") from None
     except tomllib.TOMLDecodeError as err:
         raise ConfigError(f"{path.name} {_syntax(str(err))}") from None
+    except (RecursionError, ValueError):  # brackets without end, a number of thousands of digits
+        raise ConfigError(f"{path.name}: is no configuration: nested too deeply, or a number too long") from None
 
 
 def put(tables: Tables, path: Sequence[str], value: Any) -> None:
@@ -118,10 +122,15 @@ def resolved(model: Model, base: Path, problems: Problems, table: Sequence[str])
         if isinstance(value, BaseModel):
             changed[name] = resolved(value, base, problems, (*table, name))
         elif isinstance(value, Path):
-            changed[name] = (base / value).resolve()
+            changed[name] = located(base, value)
             if name in model.model_fields_set and not changed[name].exists():
                 problems.add(table, name, str(value), f"no such file or folder: {changed[name]}")
     return model.model_copy(update=changed)
+
+
+def located(base: Path, value: Path | str) -> Path:
+    """A path as it is written in a file of the folder `base`, absolute and without '..'; the disk is not asked."""
+    return Path(os.path.normpath(base / value))
 
 
 def _strict(model: type[Model], raw: Mapping[str, Any]) -> Model:
