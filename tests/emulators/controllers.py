@@ -84,8 +84,9 @@ class SimController:
     refuse_with: ExcCodes | None = None  # the answer to every request that reads the status
     tear: int = 0  # so many of the next status records are torn
     map_id: int = m.MAP_ID
-    functions: list[int] = field(default_factory=list)
+    functions: list[int] = field(default_factory=list)  # one entry for each part of a request
     command: m.CommandRecord | None = None
+    gate: asyncio.Event | None = None  # requests wait here before they are worked on
 
     async def __aenter__(self) -> "SimController":
         registers = [
@@ -111,10 +112,12 @@ class SimController:
     async def _act(
         self, function: int, start: int, address: int, count: int, registers: list[int], written: Any
     ) -> ExcCodes | None:
+        if self.gate is not None:
+            await self.gate.wait()
+        self.functions.append(function)
         if function == 23 and self.refuse_23:
             return ExcCodes.ILLEGAL_FUNCTION
         if written is not None:
-            self.functions.append(function)
             self.command = m.decode_command(m.bytes_from_registers(written), BIG)
             self.status = replace(self.status, cmd_seq_echo=self.command.cmd_seq)
         elif address == m.STATUS_REGISTER:
