@@ -20,7 +20,8 @@ from trackerd.sim.path import ProbePath, State
 from trackerd.sim.render import SHARP_PX, Renderer
 from trackerd.sim.trigger import Trigger, trigger_of
 
-MOST_PARTS = 15  # of an exposure that shows the probe smeared
+PART_PX = 1.5  # smear from part to part, below two sigmas of the blur: an edge is within 1 DN of a smooth smear's
+MOST_PARTS = 12
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,7 +91,7 @@ class Scene:
     def view(self, gimbal: str, begin_ns: int, end_ns: int) -> View:
         """One exposure, in as many parts as its blur needs. The axes are advanced to its end."""
         travel_px = float(np.linalg.norm(self._pixel(gimbal, end_ns) - self._pixel(gimbal, begin_ns)))
-        parts = 1 if travel_px < SHARP_PX else min(MOST_PARTS, max(3, ceil(travel_px)))
+        parts = 1 if travel_px < SHARP_PX else min(MOST_PARTS, 1 + ceil(travel_px / PART_PX))
         middles = [begin_ns + (2 * part + 1) * (end_ns - begin_ns) // (2 * parts) for part in range(parts)]
         return View(tuple(self.true_pose(gimbal, t) for t in middles), tuple(self.truth(t)[0] for t in middles))
 

@@ -89,10 +89,10 @@ class AxisServo:
         return v0 + u * (v1 - v0)
 
     def at_limit(self, t_ns: int) -> bool:
-        """It stands, or is about to stand, at an end of its travel."""
+        """It is as near to an end of its travel as its steps let it come."""
         angle = self.angle(t_ns)
         low, high = self.limits.travel_rad
-        return min(angle - low, high - angle) < 1e-6
+        return min(angle - low, high - angle) < self.limits.rad_s2 * STEP_S**2
 
     def set_point(self, t_ns: int) -> float:
         """Where it should be; in the other modes, where it is."""
