@@ -31,7 +31,7 @@ class Ellipse:
 
 def outline(p_camera_mm: Array, radius_mm: float, lens: Lens) -> Ellipse:
     """The outline of a sphere at a point (3,) of C. Distortion enters through its local scale at the centre of the ellipse:
-    exact for a pinhole, and to better than 1e-3 px for the fields of a few degrees of a tracking lens."""
+    exact for a pinhole; with k1 = 0.4 and a radius of 200 px to 0.01 px near the axis and 0.05 px at 500 px from it."""
     px, py = float(p_camera_mm[0] / p_camera_mm[2]), float(p_camera_mm[1] / p_camera_mm[2])
     p2 = px * px + py * py
     sin2 = (radius_mm**2) / float(p_camera_mm @ p_camera_mm)
