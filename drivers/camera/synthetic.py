@@ -126,9 +126,10 @@ class Link:
             memory = mmap.mmap(self._descriptors[0], 0, prot=mmap.PROT_READ)
         except (TypeError, IndexError, OSError, ValueError) as err:
             raise DeviceFault(self.device, "read the twin's offer", f"{err} ({answer})") from err
-        if not _fits(offer, len(memory)):
+        size = len(memory)
+        if not _fits(offer, size):
             memory.close()
-            raise DeviceFault(self.device, "map the twin's memory", f"{len(memory)} bytes do not hold {offer}")
+            raise DeviceFault(self.device, "map the twin's memory", f"{size} bytes do not hold {offer}")
         return offer, memory
 
     async def request(self, what: str) -> dict[str, Any]:

@@ -1,7 +1,7 @@
 """Every camera driver on its bench, ready for the contract suite; and the folders of tagged images that they play."""
 
 from collections.abc import AsyncIterator
-from contextlib import asynccontextmanager
+from contextlib import asynccontextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +11,9 @@ from emulators.framelink_server import EXPOSURE_NS, HEIGHT, PERIOD_S, WIDTH, Fra
 
 from drivers.camera import basler, replay, synthetic
 from trackerd.contract.clock import SystemClock
+from trackerd.contract.errors import RecordingEnded
+from trackerd.contract.model import Frame
+from trackerd.contract.ports import Camera
 from trackerd.testing.camera import CameraBench
 
 COMMON: dict[str, Any] = {
@@ -34,6 +37,13 @@ def tag(image: np.ndarray[Any, Any]) -> int:
     """Which frame the pixels show; a mixture of two is an error."""
     assert image.min() == image.max()
     return int(image[0, 0]) - 1
+
+
+async def to_the_end(camera: Camera) -> AsyncIterator[Frame]:
+    """Frames until the recording is over."""
+    with suppress(RecordingEnded):
+        async for frame in camera.frames():
+            yield frame
 
 
 @asynccontextmanager
