@@ -88,18 +88,6 @@ class AxisServo:
         _, v0, _, v1, u = self._around(t_ns)
         return v0 + u * (v1 - v0)
 
-    def at_limit(self, t_ns: int) -> bool:
-        """It is as near to an end of its travel as its steps let it come."""
-        angle = self.angle(t_ns)
-        low, high = self.limits.travel_rad
-        return min(angle - low, high - angle) < self.limits.rad_s2 * STEP_S**2
-
-    def set_point(self, t_ns: int) -> float:
-        """Where it should be; in the other modes, where it is."""
-        if self.mode is not ServoMode.POSITION:
-            return self.angle(t_ns)
-        return self._set_angle + self._set_rate * (min(t_ns, self._set_until_ns) - self._set_at_ns) * 1e-9
-
     def advance(self, t_ns: int) -> None:
         """Step up to the first step at or after t_ns."""
         last = -(-t_ns // STEP_NS)
