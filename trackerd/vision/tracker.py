@@ -5,7 +5,8 @@ work (5 ms for KCF, then 0.6 ms a frame) is spent when `update` is called: in th
 memory is never older than the last verified outline, and it costs nothing while all is well.
 
 KCF: grey descriptors only (its default throws on grey images), and one update on the frame it was started on, without which
-it carries a constant offset of the motion up to the first update. It was the only one whose "lost" was always true.
+it carries a constant offset of the motion up to the first update. It was the only one whose "lost" was always true; MOSSE
+often does not recognise a ball without a stem from one look at it, CSRT takes more than a frame period on its first call.
 """
 
 from math import sqrt
