@@ -26,7 +26,7 @@ class Rig:
         self.seq = 0
 
     def send(self, t_ms: float, control: int = 0, mode: AxisMode = AxisMode.HOLD, **fields: Any) -> None:
-        """A fresh record, unless `cmd_seq` says otherwise. Angles in rad as offsets from the start: az, el; rates: az_rate, el_rate."""
+        """A fresh record, unless `cmd_seq` says otherwise. az, el: rad from the start; az_rate, el_rate: rad/s."""
         self.seq += 1
         az, el = fields.pop("az", 0.0), fields.pop("el", 0.0)
         rates = fields.pop("az_rate", 0.0), fields.pop("el_rate", 0.0)
