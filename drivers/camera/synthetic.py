@@ -165,6 +165,8 @@ class Link:
                 packet, descriptors, _, _ = socket.recv_fds(self._socket, MAX_PACKET, 1)
             except BlockingIOError:
                 return
+            except ConnectionResetError:
+                continue  # told once; what the twin said before it hung up is still there, and then the end
             except OSError as err:
                 self._lose(str(err))
                 return

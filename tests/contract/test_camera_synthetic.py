@@ -114,6 +114,13 @@ async def test_an_error_for_an_answer_is_a_fault_with_the_twins_words(twin: Fram
             await camera.start()
 
 
+async def test_being_sent_away_is_a_fault_with_the_twins_words(twin: FramelinkServer) -> None:
+    twin.busy = True
+    with pytest.raises(DeviceFault, match="camera left: open: camera left has a client already"):
+        async with opened(twin.path):
+            pytest.fail("it must not open")
+
+
 async def test_no_answer_is_a_timeout_and_a_late_one_is_not_the_next_ones(
     twin: FramelinkServer, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -38,6 +38,7 @@ class FramelinkServer:
     paced: bool = True
     offered: dict[str, Any] = field(default_factory=offer)
     refuse: str = ""  # this request is answered by an error
+    busy: bool = False  # who comes is told so and sent away
     silent: str = ""  # this request is not answered
     lose: int = 0  # so many of the next exposures never arrive
     frame_id: int = 0
@@ -100,6 +101,11 @@ class FramelinkServer:
 
     def _accept(self) -> None:
         self._peer, _ = self._listener.accept()
+        if self.busy:
+            self.send(pack_message(error="camera left has a client already"))
+            self._peer.close()
+            self._peer = None
+            return
         self._peer.setblocking(False)
         self._loop.add_reader(self._peer.fileno(), self._read)
 
