@@ -22,6 +22,7 @@ from trackerd.geometry.triangulate import Point, triangulate
 MISS_SIGMAS = 5.0
 RANGE_SIGMAS = 4.0
 JUMP_SIGMAS = 5.0
+PATIENCE = 0.5  # of a frame period that a pair may come later than the one before it, before it is made up
 NOWHERE = np.full(3, np.nan)
 
 
@@ -103,7 +104,8 @@ class Fuser:
         """To be called at the frame rate when nothing came: an extrapolated fix, later one that says 'lost', then nothing."""
         if self._anchor is None:
             return None
-        periods = (now - self._anchor.latency_ns - self._anchor.instant) // self._period_ns
+        due = now - self._anchor.latency_ns - round(PATIENCE * self._period_ns)
+        periods = (due - self._anchor.instant) // self._period_ns
         instant = HostNs(self._anchor.instant + periods * self._period_ns)
         if instant - self._anchor.instant > self._coast_ns:
             return self._lose(instant)

@@ -16,7 +16,7 @@ from trackerd.contract.model import Array
 SPEED_SIGMA_MM_S = 1000.0  # of a target that has been seen once
 ACCELERATION_SIGMA_MM_S2 = 10_000.0
 SURPRISE_CHI2 = 13.0  # innovation that 1 in 200 exceeds: the target moves harder than the process noise says
-LEVELS = 4  # of process noise, each ten times the one below: still targets are smoothed, hard turns are followed
+LEVELS = 6  # of process noise, each ten times the one below: the last follows 5 m/s^2 from one frame to the next
 CALM_UPDATES = 10  # without surprise, before the noise goes down one level
 UNIT = np.eye(3)
 

@@ -61,7 +61,7 @@ class _Track:
         del self.lines[:i], self.instants[:i]
 
     def period_ns(self) -> int:
-        """The shortest of the recent intervals (a dropped frame lengthens one); 0 with fewer than two lines."""
+        """The shortest of the recent intervals (a dropped frame lengthens one); 0, not known, with fewer than two lines."""
         recent = self.instants[-PERIODS - 1 :]
         return min((b - a for a, b in pairwise(recent)), default=0)
 
@@ -112,9 +112,8 @@ class Pairing:
         for track in self._tracks.values():
             track.forget(before=2**63)
         self._last: int | None = None  # the newest instant that was emitted or given up
-        self._first: int | None = None
-        self._newest = 0
-        self._absent: set[str] = set()
+        self._newest = -(2**63)
+        self._absent: dict[str, int] = {}  # station -> it has nothing up to this instant
 
     def add(self, line: Sightline) -> list[tuple[Sightline, ...]]:
         """Take a line; give the sets that it completes, oldest first, each in the order of the stations."""
@@ -123,15 +122,13 @@ class Pairing:
             self._refused[refusal] += 1
             return []
         self._lines += 1
-        self._absent.discard(line.station)
         self._tracks[line.station].insert(line)
-        self._first = line.instant if self._first is None else min(self._first, line.instant)
         self._newest = max(self._newest, line.instant)
         return self._drain()
 
     def absent(self, station: str) -> list[tuple[Sightline, ...]]:
-        """The station has nothing to give: it is not waited for until its next line. Gives the sets that this frees."""
-        self._absent.add(station)
+        """The station has nothing at all instants so far: it is not waited for there. Gives the sets that this frees."""
+        self._absent[station] = self._newest
         return self._drain()
 
     def statistics(self) -> PairingStatistics:
@@ -145,7 +142,7 @@ class Pairing:
             return flaw
         if line.instant - line.received > FUTURE_NS:
             return "from the future"
-        if self._first is not None and line.instant < self._newest - self._wait_ns - MAX_INTERVAL_NS:
+        if line.instant < self._newest - self._wait_ns - MAX_INTERVAL_NS:
             return "older than the window"
         return "duplicate" if self._tracks[line.station].holds(line.instant) else None
 
@@ -169,8 +166,8 @@ class Pairing:
         """The next instant of the station that leads."""
         alive = [track for name, track in self._tracks.items() if self._alive(name)]
         periods = [track.period_ns() for track in alive]
-        leaders = (t for t, period in zip(alive, periods, strict=True) if period >= SLOWEST * max(periods))
-        leader = next(leaders, None)
+        enough = SLOWEST * max(periods) if periods and min(periods) > 0 else 0.0  # not all known yet: the first leads
+        leader = next((t for t, period in zip(alive, periods, strict=True) if period >= enough), None)
         if leader is None:
             return None
         line = leader.after(None if self._last is None else self._last + self._simultaneous_ns)
@@ -178,7 +175,9 @@ class Pairing:
 
     def _alive(self, station: str) -> bool:
         instants = self._tracks[station].instants
-        return bool(instants) and station not in self._absent and self._newest - instants[-1] <= self._wait_ns
+        if not instants or instants[-1] < self._newest == self._absent.get(station):
+            return False
+        return self._newest - instants[-1] <= self._wait_ns
 
     def _gather(self, instant: int) -> tuple[Sightline, ...] | None:
         """One line a station at the instant; None while one may still come."""
@@ -192,11 +191,13 @@ class Pairing:
         return tuple(members)
 
     def _awaited(self, station: str, instant: int) -> bool:
-        if station in self._absent or self._newest - instant > self._wait_ns:
+        """Silence counts from the first line that another station has since given."""
+        if self._newest - instant > self._wait_ns or instant <= self._absent.get(station, instant - 1):
             return False
         instants = self._tracks[station].instants
-        heard = instants[-1] if instants else self._first
-        return heard is not None and self._newest - heard <= self._wait_ns
+        heard = instants[-1] if instants else None
+        since = (track.after(heard) for track in self._tracks.values())
+        return all(line is None or self._newest - line.instant <= self._wait_ns for line in since)
 
 
 def _flaw(line: Sightline) -> str | None:
