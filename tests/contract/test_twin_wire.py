@@ -3,6 +3,7 @@
 import asyncio
 import json
 import os
+import signal
 import socket
 from pathlib import Path
 
@@ -54,6 +55,37 @@ async def test_it_ends_after_its_parent() -> None:
     async with running_twin(parent_gone=gone, linger_s=0.0) as twin:
         gone.set()
         await twin["task"]
+
+
+async def test_it_ends_with_its_standard_input(monkeypatch: pytest.MonkeyPatch) -> None:
+    ours, theirs = os.pipe()
+    with os.fdopen(ours) as stdin:
+        monkeypatch.setattr("sys.stdin", stdin)
+        async with running_twin(watch_stdin=True, linger_s=0.0) as twin:
+            os.write(theirs, b"still here\n")
+            await control(twin, do="status")
+            assert not twin["task"].done()
+            os.close(theirs)
+            await twin["task"]
+
+
+async def test_it_ends_on_sigterm() -> None:
+    async with running_twin() as twin:
+        os.kill(os.getpid(), signal.SIGTERM)
+        await twin["task"]
+
+
+async def test_it_fails_as_a_whole(monkeypatch: pytest.MonkeyPatch) -> None:
+    async with running_twin() as twin:
+        monkeypatch.setattr("trackerd.twin.server.truth_message", lambda *_: {}["broken"])
+        with pytest.raises(KeyError, match="broken"):
+            await twin["task"]
+
+
+async def test_an_endpoint_that_is_none_ends_it() -> None:
+    async with running_twin('zenoh.listen=["carrier-pigeon/7447"]') as twin:
+        with pytest.raises(zenoh.ZError, match="carrier-pigeon"):
+            await twin["task"]
 
 
 async def test_a_taken_port_is_an_error_that_leaves_nothing_behind() -> None:

@@ -49,9 +49,10 @@ async def running_twin(*overrides: str, **options: Any) -> AsyncIterator[dict[st
     try:
         yield {**await announced, "task": task}
     finally:
-        task.cancel()
-        with suppress(asyncio.CancelledError):
-            await task
+        if not task.done():
+            task.cancel()
+            with suppress(asyncio.CancelledError):
+                await task
 
 
 class Packets:

@@ -44,10 +44,12 @@ class Alarm:
     def _ring(self) -> None:
         os.read(self._fd, 8)
         now = time.monotonic_ns()
-        while self._due and self._due[0][0] <= now:
-            heapq.heappop(self._due)[2]()
-        if self._due:
-            self._set(self._due[0][0])
+        try:
+            while self._due and self._due[0][0] <= now:
+                heapq.heappop(self._due)[2]()
+        finally:  # one that fails does not silence the others
+            if self._due:
+                self._set(self._due[0][0])
 
     def _set(self, host_ns: int) -> None:
         seconds, ns = divmod(max(1, host_ns), 1_000_000_000)  # 0 would disarm it

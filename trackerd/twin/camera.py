@@ -58,7 +58,7 @@ class CameraModel:
             frame_rate_hz=s.frame_rate_hz,
             transfer_ns=self.transfer_ns,
             slots=SLOTS,
-            slot_bytes=SLOT_HEADER + s.width_px * s.height_px,
+            slot_bytes=SLOT_HEADER + -(-s.width_px * s.height_px // SLOT_HEADER) * SLOT_HEADER,  # headers stay aligned
         )
 
 

@@ -17,6 +17,7 @@ MBAP = Struct(">HHHB")  # transaction, protocol (0), length of what follows it, 
 LONGEST_ADU = 260
 READ_HOLDING, READ_INPUT, WRITE_SINGLE, WRITE_MULTIPLE, READ_WRITE = 3, 4, 6, 16, 23
 MAX_READ, MAX_WRITE, MAX_READ_WRITE = 125, 123, 121
+REOPEN_S = 0.1
 _ADDRESS_VALUE = Struct(">HH")
 _WRITE_HEAD = Struct(">HHB")
 _READ_WRITE_HEAD = Struct(">HHHHB")
@@ -180,4 +181,7 @@ class ModbusServer:
 
     async def _reopen(self, duration_s: float) -> None:
         await asyncio.sleep(duration_s)
-        await self.open(self.host, self.port)
+        while True:
+            with suppress(OSError):  # somebody took the port meanwhile
+                return await self.open(self.host, self.port)
+            await asyncio.sleep(REOPEN_S)

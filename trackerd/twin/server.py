@@ -13,7 +13,7 @@ from typing import Any
 
 import cv2
 
-from trackerd.contract.clock import SystemClock
+from trackerd.contract.clock import Clock, SystemClock
 from trackerd.formats.calibration import load_calibration
 from trackerd.formats.cell import CellConfig
 from trackerd.formats.settings import GimbalSettings
@@ -44,16 +44,17 @@ async def run_twin(
     cv2.setNumThreads(1)  # each camera has a worker of its own
     sys.setswitchinterval(SWITCH_S)
     gone = parent_gone or asyncio.Event()
-    async with _stop_signals() as stopped, _stdin_watched(watch_stdin, gone), _opened(cell) as whereabouts:
-        announce(whereabouts)
-        leaving = asyncio.create_task(_lingered(gone, linger_s))
-        waiting = {leaving, asyncio.create_task(stopped.wait())}
+    async with _failures() as failed, _stop_signals() as stopped, _stdin_watched(watch_stdin, gone), _opened(cell) as where:
+        announce(where)
+        tasks: list[asyncio.Future[Any]] = [asyncio.create_task(stopped.wait()), asyncio.create_task(_lingered(gone, linger_s))]
         try:
-            await asyncio.wait(waiting, return_when=asyncio.FIRST_COMPLETED)
+            await asyncio.wait([*tasks, failed], return_when=asyncio.FIRST_COMPLETED)
         finally:
-            for task in waiting:
+            for task in tasks:
                 task.cancel()
-            await asyncio.gather(*waiting, return_exceptions=True)
+            await asyncio.gather(*tasks, return_exceptions=True)
+    if not failed.cancelled():
+        failed.result()
 
 
 @asynccontextmanager
@@ -62,8 +63,8 @@ async def _opened(cell: CellConfig) -> AsyncIterator[dict[str, Any]]:
     scene = scene_of(cell, load_calibration(cell.calibration).stations)
     with tempfile.TemporaryDirectory(prefix="twin-") as name:  # mode 0700, and short enough for a socket's path
         folder = Path(name)
-        async with _twin_cell(cell, scene, folder) as twin, _truth(cell, twin) as key:
-            clock = SystemClock()
+        clock = SystemClock()
+        async with _twin_cell(cell, scene, folder) as twin, _truth(cell, twin, clock) as key:
             control = ControlSocket(folder / "control", ControlDesk(twin, clock))
             try:
                 yield {
@@ -89,10 +90,9 @@ async def _twin_cell(cell: CellConfig, scene: Scene, folder: Path) -> AsyncItera
 
 
 @asynccontextmanager
-async def _truth(cell: CellConfig, twin: TwinCell) -> AsyncIterator[str]:
+async def _truth(cell: CellConfig, twin: TwinCell, clock: Clock) -> AsyncIterator[str]:
     """Publish the truth; the same beat works off what is due in controllers that nobody asks. Yields the key."""
-    publisher, clock = TruthPublisher(cell.zenoh), SystemClock()
-    ticking = True
+    publisher, ticking = TruthPublisher(cell.zenoh), True
 
     def tick(t_ns: int) -> None:
         if not ticking:
@@ -108,6 +108,26 @@ async def _truth(cell: CellConfig, twin: TwinCell) -> AsyncIterator[str]:
     finally:
         ticking = False
         await publisher.close()
+
+
+@asynccontextmanager
+async def _failures() -> AsyncIterator["asyncio.Future[None]"]:
+    """Ends with the first exception of a callback: nothing in the twin is expected to fail, so it fails as a whole."""
+    loop = asyncio.get_running_loop()
+    failed: asyncio.Future[None] = loop.create_future()
+    before = loop.get_exception_handler()
+
+    def fail(_: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
+        if not failed.done():
+            failed.set_exception(context.get("exception") or RuntimeError(context["message"]))
+
+    loop.set_exception_handler(fail)
+    try:
+        yield failed
+    finally:
+        loop.set_exception_handler(before)
+        if not failed.cancel():
+            failed.exception()  # taken notice of, also where another error is on its way out
 
 
 @asynccontextmanager

@@ -61,6 +61,7 @@ class TruthPublisher:
         self._session: zenoh.Session | None = None
         self._publisher: zenoh.Publisher | None = None
         self._opening = asyncio.get_running_loop().create_task(self._open(settings))
+        self._opening.add_done_callback(_tell_failure)
 
     def publish(self, message: dict[str, Any]) -> None:
         if self._publisher is not None:
@@ -82,3 +83,9 @@ class TruthPublisher:
 
 def truth_key(settings: ZenohSettings) -> str:
     return f"{settings.twin_prefix}/truth"
+
+
+def _tell_failure(opening: "asyncio.Task[None]") -> None:
+    """An endpoint that Zenoh cannot use at all; one where nobody is yet is no failure."""
+    if not opening.cancelled() and (error := opening.exception()) is not None:
+        opening.get_loop().call_exception_handler({"message": "the truth's session", "exception": error})
