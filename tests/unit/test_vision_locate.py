@@ -98,6 +98,17 @@ def test_a_ball_cut_by_the_edge_of_the_picture_is_still_measured() -> None:
     assert np.abs(errors(ball, found(ball, 4))).max() < 0.03
 
 
+@pytest.mark.parametrize("towards", [(1.0, 0.0), (0.6, 0.8)])
+def test_a_ball_smeared_over_eight_pixels_is_still_measured(towards: tuple[float, float]) -> None:
+    middle = Ball()
+    ways = np.linspace(-4.0, 4.0, 17)
+    smeared = np.mean([Ball(middle.x_px + w * towards[0], middle.y_px + w * towards[1]).clean for w in ways], axis=0)
+    picture = np.rint(smeared + np.random.default_rng(13).normal(0.0, 1.7, smeared.shape)).astype(np.uint8)
+    outline = locate(picture, near(middle), NOISE)
+    assert isinstance(outline, Found), outline
+    assert np.abs(errors(middle, outline)).max() < 0.04
+
+
 def test_overexposure_is_reported_and_moves_the_outline_little() -> None:
     ball = Ball(background_dn=90.0, contrast_dn=190.0)
     outline = found(ball, 5)

@@ -26,6 +26,7 @@ class Ring:
     row: Whole
     weight: Floats  # 1 for a pixel, 0 for a copy that only fills up
     design: npt.NDArray[np.float64]  # (S, 3): unit vector of the sector's middle, and 1: d (edge's offset) / d (x, y, r)
+    blur_design: npt.NDArray[np.float64]  # (S, 3): 1, cos and sin of twice the sector's angle: d (blur's variance) / d unknown
     reach_px: int  # no offset is greater
 
 
@@ -58,6 +59,7 @@ def ring(radius_px: int, inside_px: int, outside_px: int) -> Ring:
         row.astype(np.intp),
         weight,
         np.column_stack((np.cos(middle), np.sin(middle), np.ones(sectors))),
+        np.column_stack((np.ones(sectors), np.cos(2.0 * middle), np.sin(2.0 * middle))),
         reach,
     )
 

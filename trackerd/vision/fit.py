@@ -20,6 +20,10 @@ STEPS = 10
 SETTLED_PX = 0.01  # each step is a tenth of the one before or less: the rest is far below the noise
 SIGMA_START_PX = 0.95  # optics and pixel of a sharp picture
 SIGMA_RANGE_PX = (0.3, 6.0)
+BLURRED_PX, BLURRED_CHI2 = 1.2, 1.6  # a wider edge, or half of the sectors worse than this: out of focus or in motion
+BLUR_SETTLED = 0.05  # of its variance, where it depends on the direction
+WIDER_PX, WIDER_RINGS = 2.0, 3  # the first wider ring is good up to this blur
+SMEARED_PX, SMEARED_CHI2 = 3.4, 6.0  # and this one's for an image that is far from a sharp edge
 TUKEY = 4.685  # 95 % efficient for normal errors
 POOR_CHI2 = 3.0  # a sector that fits worse than this is played down
 TABLE_END, TABLE_STEPS = 8.0, 1024  # of the edge profile, in units of the blur; rounding to a step costs 2e-4 of the contrast
@@ -45,7 +49,7 @@ class CircleFit:
     x_px: float
     y_px: float
     r_px: float
-    sigma_px: float  # blur of the edge
+    sigma_px: float  # blur of the edge, where it is widest
     cov_px2: Array  # (3, 3) of x, y, r
     sectors: Sectors
     weight: Array  # (S,) Tukey's, of the last step
@@ -60,41 +64,68 @@ class _Shape:
     x: float
     y: float
     r: float
-    sigma: float
+    blur_px2: Array  # variance of the blur: (1,) alike all round, or (3,) with its cos and sin of twice the angle (motion)
+
+    def sigma_px(self, pixels: Ring) -> Array:
+        """Blur of each sector, (S,)."""
+        variance = pixels.blur_design[:, : len(self.blur_px2)] @ self.blur_px2
+        return np.sqrt(np.minimum(np.maximum(variance, SIGMA_RANGE_PX[0] ** 2), SIGMA_RANGE_PX[1] ** 2))
 
 
 def fit_circle(image: Image, start: Circle, noise: NoiseModel) -> CircleFit | None:
-    """Fit from a start that is good to about 1.5 px. None: it ran away, or the image does not determine a circle."""
-    fit = _fit(image, start, SIGMA_START_PX, noise, SIGMA_START_PX)
-    if fit is not None and fit.sigma_px > 1.2:  # the ring for a sharp edge is too narrow for this one
-        fit = _fit(image, (fit.x_px, fit.y_px, fit.r_px), fit.sigma_px, noise, min(fit.sigma_px * 1.3, SIGMA_RANGE_PX[1]))
+    """Fit from a start that is good to about 1.5 px. None: it ran away, or the image does not determine a circle.
+
+    First for a sharp edge, in a narrow ring (clutter is near); where that is not what the image shows, in wider rings, with a
+    blur that may depend on the direction.
+    """
+    fit = _fit(image, start, np.array((SIGMA_START_PX**2,)), noise, SIGMA_START_PX)
+    if fit is None:
+        return None
+    widest_px = WIDER_PX if float(np.median(fit.sectors.chi2)) < SMEARED_CHI2 else SMEARED_PX
+    for _ in range(WIDER_RINGS):
+        if not (fit.sigma_px > 0.9 * widest_px or _is_blurred(fit)):
+            break
+        wide = _fit(image, (fit.x_px, fit.y_px, fit.r_px), np.array((fit.sigma_px**2, 0.0, 0.0)), noise, widest_px)
+        if wide is None or wide.sigma_px <= 0.9 * widest_px:
+            return wide
+        fit, widest_px = wide, min(1.25 * wide.sigma_px, SIGMA_RANGE_PX[1])
     return fit
 
 
-def _fit(image: Image, start: Circle, sigma_px: float, noise: NoiseModel, widest_px: float) -> CircleFit | None:
+def _blur_settled(shape: _Shape, delta: Array) -> bool:
+    return len(delta) == 1 or float(np.abs(delta).max()) < BLUR_SETTLED * float(shape.blur_px2[0])
+
+
+def _is_blurred(fit: CircleFit) -> bool:
+    return fit.sigma_px > BLURRED_PX or float(np.median(fit.sectors.chi2)) > BLURRED_CHI2
+
+
+def _fit(image: Image, start: Circle, blur_px2: Array, noise: NoiseModel, widest_px: float) -> CircleFit | None:
     pixels = ring_for(start[2], widest_px)
     column, row = round(start[0]), round(start[1])
     seen = gather(image, pixels, column, row)
     saturated_dn = noise.saturation_of(int(np.iinfo(image.dtype).max))
     clipped = _clipped_share(seen, saturated_dn)
-    shape = _Shape(start[0] - column, start[1] - row, start[2], sigma_px)
+    shape = _Shape(start[0] - column, start[1] - row, start[2], blur_px2)
     levels: Floats | None = None
     settled = False
     for _ in range(STEPS):
         normal, levels = _normal_matrices(pixels, seen, shape, levels, noise, saturated_dn if clipped > 0.0 else None)
         reduced, levels = _eliminate_levels(normal, levels)
         sectors = _sectors(reduced, levels, seen)
-        step, hessian, weight, scale = _robust_step(reduced, sectors, pixels.design)
+        step = _robust_step(reduced, sectors, pixels, shape)
         if step is None:
             return None
-        _move(shape, step)
+        _move(shape, step.delta)
         if abs(shape.x) + abs(shape.y) > 6.0 or abs(shape.r - start[2]) > 5.0:
             return None
-        settled = float(np.abs(step[:3]).max()) < SETTLED_PX
+        settled = float(np.abs(step.delta[:3]).max()) < SETTLED_PX and _blur_settled(shape, step.delta[3:])
         if settled:
             break
-    cov = np.asarray(np.linalg.inv(hessian)[:3, :3] * scale**2, np.float64)
-    return CircleFit(column + shape.x, row + shape.y, shape.r, shape.sigma, cov, sectors, weight, clipped, settled)
+    sigma_px = float(shape.sigma_px(pixels).max())
+    return CircleFit(
+        column + shape.x, row + shape.y, shape.r, sigma_px, step.covariance(), sectors, step.weight, clipped, settled
+    )
 
 
 def _clipped_share(seen: Gathered, saturated_dn: float) -> float:
@@ -108,8 +139,9 @@ def _normal_matrices(
     """Normal matrices (S, 5, 5) over the columns (B, D, e, sig, residual), and the levels (S, 2) they are taken at."""
     dx, dy = pixels.dx - np.float32(shape.x), pixels.dy - np.float32(shape.y)
     s = np.sqrt(dx * dx + dy * dy) - np.float32(shape.r)
-    t = s * np.float32(1.0 / shape.sigma) + np.float32(shape.sigma / (2.0 * shape.r))
-    index = ((t + np.float32(TABLE_END)) * np.float32(TABLE_STEPS)).astype(np.intp)
+    sigma = shape.sigma_px(pixels).astype(np.float32)[:, None]
+    scaled, bend = s / sigma, sigma / np.float32(2.0 * shape.r)
+    index = ((scaled + (bend + np.float32(TABLE_END))) * np.float32(TABLE_STEPS)).astype(np.intp)
     edge, bell = _EDGE.take(index, mode="clip"), _BELL.take(index, mode="clip")
     if levels is None:
         levels = _plain_levels(seen, edge)
@@ -121,8 +153,8 @@ def _normal_matrices(
     columns = np.empty((len(levels), 5, s.shape[1]), np.float32)
     columns[:, 0] = 1.0
     columns[:, 1] = edge
-    columns[:, 2] = contrast * bell * np.float32(1.0 / shape.sigma)
-    columns[:, 3] = columns[:, 2] * (s * np.float32(1.0 / shape.sigma) - np.float32(shape.sigma / (2.0 * shape.r)))
+    columns[:, 2] = (contrast / sigma) * bell
+    columns[:, 3] = columns[:, 2] * (scaled - bend)
     columns[:, 4] = seen.level - model
     normal = (columns * weight[:, None, :]) @ columns.transpose(0, 2, 1)
     return normal.astype(np.float64), levels
@@ -161,32 +193,48 @@ def _sectors(reduced: Array, levels: Floats, seen: Gathered) -> Sectors:
     return Sectors(contrast, levels[:, 0] + 0.5 * contrast, offset, information, chi2)
 
 
-def _robust_step(reduced: Array, sectors: Sectors, design: Array) -> tuple[Array | None, Array, Array, float]:
-    """Step of (x, y, r, sig), its normal matrix, the sectors' weights, and the scale of their errors (>= 1).
+@dataclass(frozen=True, slots=True)
+class _Step:
+    delta: Array  # of x, y, r and the blur's variance
+    hessian: Array  # its normal matrix
+    weight: Array  # (S,)
+    scale: float  # of the sectors' errors, at least 1
 
-    `design` (S, 3): d offset / d (x, y, r)."""
+    def covariance(self) -> Array:
+        return np.asarray(np.linalg.inv(self.hessian)[:3, :3] * self.scale**2, np.float64)
+
+
+def _robust_step(reduced: Array, sectors: Sectors, pixels: Ring, shape: _Shape) -> _Step | None:
+    """None: too few sectors know where their edge is."""
     normalised = sectors.offset_px * np.sqrt(sectors.information)
     telling = sectors.information > 1.0  # knows its edge to 1 px
     if int(telling.sum()) < len(telling) // 3:
-        return None, np.eye(4), np.zeros(len(telling)), 1.0
+        return None
     deviations = np.sort(np.abs(normalised[telling]))
     scale = max(1.0, 1.4826 * float(deviations[len(deviations) // 2]))
     weight = np.maximum(1.0 - (normalised * (1.0 / (TUKEY * scale))) ** 2, 0.0) ** 2
-    weight *= np.minimum(1.0, POOR_CHI2 / np.maximum(sectors.chi2, 1e-6)) ** 2 * telling
-    hessian, right = np.empty((4, 4)), np.empty(4)
-    weighted = design * weight[:, None]
-    hessian[:3, :3] = (weighted * sectors.information[:, None]).T @ design
-    hessian[:3, 3] = hessian[3, :3] = weighted.T @ reduced[:, 0, 1]
-    hessian[3, 3] = weight @ reduced[:, 1, 1]
-    hessian.flat[::5] += 1e-6
+    ordered = np.sort(sectors.chi2[telling])
+    poor = POOR_CHI2 * max(1.0, float(ordered[3 * len(ordered) // 4]) if len(shape.blur_px2) > 1 else 1.0)
+    weight *= np.minimum(1.0, poor / np.maximum(sectors.chi2, 1e-6)) ** 2 * telling
+    blurs = len(shape.blur_px2)
+    blur_design = pixels.blur_design[:, :blurs] * (0.5 / shape.sigma_px(pixels))[:, None]  # d sig / d unknown
+    weighted, weighted_blur = pixels.design * weight[:, None], blur_design * weight[:, None]
+    hessian, right = np.empty((3 + blurs, 3 + blurs)), np.empty(3 + blurs)
+    hessian[:3, :3] = (weighted * sectors.information[:, None]).T @ pixels.design
+    hessian[:3, 3:] = (weighted * reduced[:, 0, 1, None]).T @ blur_design
+    hessian[3:, :3] = hessian[:3, 3:].T
+    hessian[3:, 3:] = (weighted_blur * reduced[:, 1, 1, None]).T @ blur_design
+    hessian.flat[:: 4 + blurs] += 1e-6
     right[:3] = weighted.T @ (sectors.information * sectors.offset_px)
-    right[3] = weight @ reduced[:, 1, 2]
-    return np.asarray(np.linalg.solve(hessian, right), np.float64), hessian, weight, scale
+    right[3:] = weighted_blur.T @ reduced[:, 1, 2]
+    return _Step(np.asarray(np.linalg.solve(hessian, right), np.float64), hessian, weight, scale)
 
 
-def _move(shape: _Shape, step: Array) -> None:
+def _move(shape: _Shape, delta: Array) -> None:
     """Take a step, kept short: the model is linear over about one blur."""
-    dx, dy, dr = (float(v) for v in np.clip(step[:3], -1.5, 1.5))
+    dx, dy, dr = (float(v) for v in np.minimum(np.maximum(delta[:3], -1.5), 1.5))
     shape.x, shape.y, shape.r = shape.x + dx, shape.y + dy, shape.r + dr
-    grown = shape.sigma + float(np.clip(step[3], -0.3 * shape.sigma, 0.3 * shape.sigma))
-    shape.sigma = min(max(grown, SIGMA_RANGE_PX[0]), SIGMA_RANGE_PX[1])
+    most = 0.6 * float(shape.blur_px2[0])
+    blur = shape.blur_px2 + np.minimum(np.maximum(delta[3:], -most), most)
+    blur[0] = min(max(blur[0], SIGMA_RANGE_PX[0] ** 2), SIGMA_RANGE_PX[1] ** 2)
+    shape.blur_px2 = blur
