@@ -17,6 +17,7 @@ from trackerd.vision.noise import NoiseModel
 from trackerd.vision.rays import Circle
 
 STEPS = 10
+FARTHEST_PX = 6.0  # from the start, in x, y and r together
 SETTLED_PX = 0.01  # each step is a tenth of the one before or less: the rest is far below the noise
 SIGMA_START_PX = 0.95  # optics and pixel of a sharp picture
 SIGMA_RANGE_PX = (0.3, 6.0)
@@ -107,25 +108,34 @@ def _fit(image: Image, start: Circle, blur_px2: Array, noise: NoiseModel, widest
     saturated_dn = noise.saturation_of(int(np.iinfo(image.dtype).max))
     clipped = _clipped_share(seen, saturated_dn)
     shape = _Shape(start[0] - column, start[1] - row, start[2], blur_px2)
+    end = _converge(pixels, seen, shape, noise, saturated_dn if clipped > 0.0 else None)
+    if end is None:
+        return None
+    step, sectors, settled = end
+    x_px, y_px, sigma_px = column + shape.x, row + shape.y, float(shape.sigma_px(pixels).max())
+    return CircleFit(x_px, y_px, shape.r, sigma_px, step.covariance(), sectors, step.weight, clipped, settled)
+
+
+def _converge(
+    pixels: Ring, seen: Gathered, shape: _Shape, noise: NoiseModel, saturated_dn: float | None
+) -> "tuple[_Step, Sectors, bool] | None":
+    """Moves the shape to the best fit; last step, sectors, and whether it settled. None: no circle is determined near by."""
     levels: Floats | None = None
-    settled = False
-    for _ in range(STEPS):
-        normal, levels = _normal_matrices(pixels, seen, shape, levels, noise, saturated_dn if clipped > 0.0 else None)
+    x, y, r = shape.x, shape.y, shape.r
+    for n in range(STEPS):
+        normal, levels = _normal_matrices(pixels, seen, shape, levels, noise, saturated_dn)
         reduced, levels = _eliminate_levels(normal, levels)
         sectors = _sectors(reduced, levels, seen)
         step = _robust_step(reduced, sectors, pixels, shape)
         if step is None:
             return None
         _move(shape, step.delta)
-        if abs(shape.x) + abs(shape.y) > 6.0 or abs(shape.r - start[2]) > 5.0:
+        if abs(shape.x - x) + abs(shape.y - y) + abs(shape.r - r) > FARTHEST_PX:
             return None
         settled = float(np.abs(step.delta[:3]).max()) < SETTLED_PX and _blur_settled(shape, step.delta[3:])
-        if settled:
-            break
-    sigma_px = float(shape.sigma_px(pixels).max())
-    return CircleFit(
-        column + shape.x, row + shape.y, shape.r, sigma_px, step.covariance(), sectors, step.weight, clipped, settled
-    )
+        if settled or n == STEPS - 1:
+            return step, sectors, settled
+    return None
 
 
 def _clipped_share(seen: Gathered, saturated_dn: float) -> float:
