@@ -23,13 +23,14 @@ def ask(config: Path, overrides: Sequence[str], command: str, request: dict[str,
     try:
         replies = list(session.get(key, payload=json.dumps(request).encode(), timeout=TIMEOUT_S))
     finally:
-        session.close()
+        session.close()  # type: ignore[no-untyped-call]
     if not replies:
         raise TrackerdError(f"{key}: nobody answers (is the daemon of {config} running?)")
     for reply in replies:
-        if reply.ok is None:
+        if reply.err is not None:
             told = json.loads(reply.err.payload.to_bytes())
             raise TrackerdError(f"{key}: {told.get('error', told)}")
+        assert reply.ok is not None
         for gimbal, answer in json.loads(reply.ok.payload.to_bytes())["gimbals"].items():
             print(f"{gimbal}: {answer}", file=sys.stdout)
     return 0

@@ -3,7 +3,7 @@
 import argparse
 import logging
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 from trackerd import __version__
@@ -33,21 +33,28 @@ def main(arguments: Sequence[str] | None = None) -> int:
     command: Callable[[argparse.Namespace], int] = options.run
     try:
         return command(options)
-    except* ConfigError as group:
-        return _say(group, WRONG_INPUT)
-    except* TrackerdError as group:
-        return _say(group, REFUSED)
-    except* KeyboardInterrupt:
+    except KeyboardInterrupt:
         return DONE
+    except (TrackerdError, BaseExceptionGroup) as error:
+        return _say(error)
 
 
-def _say(group: BaseExceptionGroup[TrackerdError], status: int) -> int:
-    for error in group.exceptions:
-        if isinstance(error, BaseExceptionGroup):
-            _say(error, status)
-        else:
-            print(f"trackerd: {error}", file=sys.stderr)
-    return status
+def _say(error: BaseException) -> int:
+    """One line for each thing that a person can mend; anything else is a defect, and keeps its traceback."""
+    causes = list(_causes(error))
+    if not all(isinstance(cause, TrackerdError) for cause in causes):
+        raise error
+    for cause in causes:
+        print(f"trackerd: {cause}", file=sys.stderr)
+    return WRONG_INPUT if any(isinstance(cause, ConfigError) for cause in causes) else REFUSED
+
+
+def _causes(error: BaseException) -> Iterator[BaseException]:
+    if isinstance(error, BaseExceptionGroup):
+        for part in error.exceptions:
+            yield from _causes(part)
+    else:
+        yield error
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -65,7 +72,9 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _common(parser: argparse.ArgumentParser, config: object, overrides: object) -> None:
-    parser.add_argument("--config", type=Path, metavar="FILE", default=config, help="the cell: a TOML file, see config/cell.toml")
+    parser.add_argument(
+        "--config", type=Path, metavar="FILE", default=config, help="the cell: a TOML file, see config/cell.toml"
+    )
     parser.add_argument(
         "--set",
         dest="overrides",
@@ -80,7 +89,7 @@ def _add_check(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") 
     parser = commands.add_parser(
         "check",
         help="validate a configuration and what it needs from this machine",
-        description="Reads the configuration, then looks at devices, ports, limits and permissions, and says how to mend each.",
+        description="Reads the configuration, then looks at devices, ports, limits and permissions; says how to mend each.",
     )
     parser.set_defaults(run=_check)
     return parser
@@ -105,7 +114,7 @@ def _add_watch(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") 
     parser = commands.add_parser(
         "watch",
         help="show the published position: an ordinary Zenoh subscriber",
-        description="Shows position, sigma, rate, age and state as they are published, and the error where a twin tells the truth.",
+        description="Shows position, sigma, rate, age and state as published, and the error where a twin tells the truth.",
     )
     parser.add_argument("--duration", type=_seconds, metavar="S", default=argparse.SUPPRESS, help="end after S seconds")
     parser.add_argument("--plain", action="store_true", help="one line a second instead of a live table")
@@ -209,7 +218,12 @@ class JsonFormatter(logging.Formatter):
     def format(self, record: logging.LogRecord) -> str:
         import json
 
-        line = {"time": record.created, "level": record.levelname.lower(), "logger": record.name, "message": record.getMessage()}
+        line = {
+            "time": record.created,
+            "level": record.levelname.lower(),
+            "logger": record.name,
+            "message": record.getMessage(),
+        }
         if record.exc_info:
             line["exception"] = self.formatException(record.exc_info)
         return json.dumps(line)

@@ -25,6 +25,10 @@ class TruthTrack:
         self._times.append(message["t_unix_ns"])
         self._samples.append((np.array(message["position_mm"]), np.array(message["velocity_mm_s"])))
 
+    def began(self) -> int | None:
+        """The first instant that is known, ns Unix time."""
+        return self._times[0] if self._times else None
+
     def at(self, t_unix_ns: int) -> tuple[Array, Array] | None:
         """Position (3,) mm and velocity (3,) mm/s, or None outside of the samples."""
         n = bisect_left(self._times, t_unix_ns)

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import zenoh
 from rich.console import Console
 from rich.live import Live
 from rich.table import Table
@@ -45,6 +46,9 @@ class View:
 
     def settle(self) -> None:
         """Compares what the truth has caught up with; forgets what is older than the window."""
+        began = self.truth.began()
+        while self.pending and began is not None and self.pending[0]["t_unix_ns"] <= began:
+            self.pending.popleft()
         while self.pending and (at := self.truth.at(self.pending[0]["t_unix_ns"])) is not None:
             message = self.pending.popleft()
             if message["valid"]:
@@ -70,8 +74,12 @@ class View:
         rows.append(("age", f"{m['age_ms']:.1f} ms when published"))
         if self.errors:
             squares = np.array([error for _, error in self.errors])
-            rows.append(("error", f"{np.sqrt((squares**2).mean()):.3f} mm rms, {squares.max():.3f} mm largest (against the twin)"))
-        rows.append(("source", f"{m['source']}, calibration {m['calibration_id']}, stations {', '.join(m['stations']) or 'none'}"))
+            rows.append(
+                ("error", f"{np.sqrt((squares**2).mean()):.3f} mm rms, {squares.max():.3f} mm largest (against the twin)")
+            )
+        rows.append(
+            ("source", f"{m['source']}, calibration {m['calibration_id']}, stations {', '.join(m['stations']) or 'none'}")
+        )
         rows.append(("reasons", "; ".join(m["reasons"]) or "-"))
         return rows
 
@@ -83,15 +91,19 @@ def watch(config: Path, overrides: Sequence[str], duration_s: float | None, plai
     session = open_towards(cell.zenoh)
     try:
         wanted = [(keys.position, "position"), *([(truth_key(cell), "truth")] if cell.twin is not None else [])]
-        held = [
-            session.declare_subscriber(key, lambda sample, kind=kind: inbox.put((kind, sample.payload.to_bytes())))
-            for key, kind in wanted
-        ]
+        held = [_subscribe(session, key, kind, inbox) for key, kind in wanted]
         _show(inbox, keys.position, duration_s, plain or not sys.stdout.isatty())
         del held
     finally:
-        session.close()
+        session.close()  # type: ignore[no-untyped-call]
     return 0
+
+
+def _subscribe(session: zenoh.Session, key: str, kind: str, inbox: "queue.SimpleQueue[tuple[str, bytes]]") -> object:
+    def heard(sample: zenoh.Sample) -> None:
+        inbox.put((kind, sample.payload.to_bytes()))
+
+    return session.declare_subscriber(key, heard)
 
 
 def truth_key(cell: CellConfig) -> str:

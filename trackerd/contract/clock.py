@@ -32,11 +32,20 @@ class Clock(Protocol):
     def unix(self, instant: HostNs) -> UnixNs: ...
 
 
+def _unix_minus_host_ns() -> int:
+    """The least delayed of a few bracketed readings of both clocks."""
+    readings = []
+    for _ in range(9):
+        before, unix, after = time.monotonic_ns(), time.time_ns(), time.monotonic_ns()
+        readings.append((after - before, unix - (before + after) // 2))
+    return min(readings)[1]
+
+
 @dataclass(frozen=True, slots=True)
 class SystemClock:
     """The real one. The offset to Unix time is taken once, so that a stepped wall clock moves no stamp."""
 
-    unix_minus_host_ns: int = field(default_factory=lambda: _unix_minus_host_ns())
+    unix_minus_host_ns: int = field(default_factory=_unix_minus_host_ns)
 
     def now(self) -> HostNs:
         return HostNs(time.monotonic_ns())
@@ -61,12 +70,3 @@ class ManualClock:
     def advance(self, duration_s: float) -> HostNs:
         self.instant = HostNs(self.instant + round(duration_s * 1e9))
         return self.instant
-
-
-def _unix_minus_host_ns() -> int:
-    """The least delayed of a few bracketed readings of both clocks."""
-    readings = []
-    for _ in range(9):
-        before, unix, after = time.monotonic_ns(), time.time_ns(), time.monotonic_ns()
-        readings.append((after - before, unix - (before + after) // 2))
-    return min(readings)[1]

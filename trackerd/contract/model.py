@@ -147,7 +147,7 @@ class GimbalInfo:
     latch_delay_ns: int = 0
     encoder_delay_ns: int = 0
     latch_sigma_rad: float = 0.0  # what the latch itself adds (jitter); the encoder's own sigma is configured
-    edges: int = 2  # latched per exposure: 2 both, mid-exposure is their mean; 1 the entry is mid-exposure already; 0 no latches
+    edges: int = 2  # latched per exposure: 2 both, mid-exposure is their mean; 1 the entry is mid-exposure; 0 no latches
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,8 +1,8 @@
 """One Protocol per hardware role: few methods, errors promised.
 
 A driver module has a frozen `Settings` (a `formats.settings.CameraSettings` or `GimbalSettings`) and one async context manager,
-`open_camera(name, settings, clock)` or `open_gimbal(name, settings, clock)`; constructors touch no hardware, and leaving the context
-releases everything, also after an error.
+`open_camera(name, settings, clock)` or `open_gimbal(name, settings, clock)`; constructors touch no hardware, and leaving the
+context releases everything, also after an error.
 """
 
 from collections.abc import AsyncIterator

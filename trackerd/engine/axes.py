@@ -21,6 +21,7 @@ from trackerd.contract.model import (
     TrackState,
 )
 from trackerd.engine.axis_test import AxisTest, Verdict
+from trackerd.engine.divergence import DivergenceWatch
 from trackerd.engine.track import Step
 from trackerd.formats.settings import SteeringSettings
 from trackerd.steering.follow import SetPoint
@@ -30,8 +31,6 @@ SAFETY_FAULT = 0x0500
 FAULT_CLASS = 0xFF00
 SET_POINT_LIFE_NS = 100_000_000  # a set-point older than this is followed no longer: the axes ramp to rest
 DISABLED_CYCLES = 2  # 'enable 0' is sent at least this often before 'enable 1'
-DIVERGING_PX = 15.0  # below this a growing error is noise or the start of a motion
-GROWTH_PX = 0.5
 UNCLEAR_TESTS = 20  # attempts, while the target keeps moving, before a person is asked
 
 
@@ -76,7 +75,7 @@ class Axes:
         self._set_point: SetPoint | None = None
         self._commanded: HostNs | None = None
         self._step: Step | None = None
-        self._growing = 0
+        self._divergence = DivergenceWatch(steering.diverge_frames)
 
     # ---- what people and the supervisor say --------------------------------------------------------------------------
 
@@ -127,12 +126,12 @@ class Axes:
     # ---- every frame -------------------------------------------------------------------------------------------------
 
     def seen(self, step: Step) -> None:
-        last, self._step = self._step, step
+        self._step = step
         if self._state is AxesState.TESTING:
             self._try_axes(step)
         elif self._state is AxesState.FOLLOWING:
             self._set_point = step.set_point or self._set_point
-            if last is not None and self._diverges(last, step):
+            if self._divergence.diverges(step):
                 self.hold("loop diverges: the pixel error grows although the axes move against it")
 
     # ---- every bus cycle ---------------------------------------------------------------------------------------------
@@ -201,7 +200,8 @@ class Axes:
         return self._report is not None and self._report.fault & FAULT_CLASS == SAFETY_FAULT
 
     def _stop(self, reason: str) -> None:
-        self._reason, self._test, self._set_point, self._growing = reason, None, None, 0
+        self._reason, self._test, self._set_point = reason, None, None
+        self._divergence.reset()
         if self._steerable:
             self._state = AxesState.HELD
 
@@ -271,14 +271,9 @@ class Axes:
         if point is None or now - point.at > SET_POINT_LIFE_NS:
             self._set_point = None
             return self._position(self._limiter.stop_step(dt_s), controller_now)
-        ahead_s = (now - point.at) * 1e-9
-        target = (
-            point.az_rad + point.az_rad_s * ahead_s,
-            point.el_rad + point.el_rad_s * ahead_s,
-            point.az_rad_s,
-            point.el_rad_s,
-        )
-        return self._follow(self._limiter, target, dt_s, controller_now)
+        target = point.moved_to(now)
+        way = target.az_rad, target.el_rad, target.az_rad_s, target.el_rad_s
+        return self._follow(self._limiter, way, dt_s, controller_now)
 
     def _follow(
         self,
@@ -304,21 +299,6 @@ class Axes:
             velocity_valid=True,
             watchdog_ms=self._steering.watchdog_ms,
         )
-
-    def _diverges(self, last: Step, step: Step) -> bool:
-        """N frames in a row on which the error grew although the axes, by their encoders, moved so as to reduce it."""
-        if None in (last.offset_px, step.offset_px, last.angles, step.angles, step.jacobian):
-            self._growing = 0
-            return False
-        assert last.offset_px and step.offset_px and last.angles and step.angles and step.jacobian is not None
-        before, after = hypot(*last.offset_px), hypot(*step.offset_px)
-        turned = np.array((step.angles.az_rad - last.angles.az_rad, step.angles.el_rad - last.angles.el_rad))
-        by_axes = float(step.jacobian @ turned @ np.array(last.offset_px)) / max(before, 1e-9)
-        if after > DIVERGING_PX and after > before + GROWTH_PX and by_axes < -GROWTH_PX:
-            self._growing += 1
-        elif after < before:
-            self._growing = 0
-        return self._growing >= self._steering.diverge_frames
 
 
 def _limiters(steering: SteeringSettings) -> tuple[SetPointLimiter, SetPointLimiter]:

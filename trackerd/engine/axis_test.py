@@ -1,7 +1,7 @@
 """Before the first follow: does each axis do in the image what the calibration says?
 
-Both axes are moved by a small angle to either side, slowly, one after the other, while the target stands still. What the pixel does
-between the two ends must be what the geometry predicts from the *encoder* between the two ends, and the encoder must have gone
+Both axes are moved by a small angle to either side, slowly, one after the other, while the target stands still. What the pixel
+does between the two ends must be what the geometry predicts from the *encoder* between them, and the encoder must have gone
 where it was told: a flipped sign, swapped axes, a wrong scale or a foreign calibration cannot pass.
 """
 
@@ -98,9 +98,7 @@ class AxisTest:
         if shortest < SMALLEST_PATH_PX:
             self.reason = f"axis test: the test angle moves the image by {shortest:.1f} px only"
             return Verdict.FAILED
-        moved = max(
-            hypot(*(look.q_px - base.q_px - jacobian @ (look.angles_rad - base.angles_rad))) for look in (middle, end)
-        )
+        moved = max(hypot(*(look.q_px - base.q_px - jacobian @ (look.angles_rad - base.angles_rad))) for look in (middle, end))
         if moved > STILL_SHARE * shortest:
             self.reason = f"axis test: the target moved by {moved:.1f} px during the test"
             return Verdict.UNCLEAR

@@ -73,8 +73,9 @@ class LatchedAngles:
 
     def match(self, frame: Frame, now: HostNs) -> AxisAngles | NoAngle | Waiting:
         report = self._report
-        if report is None or (reason := self.stale(now)):
-            return NoAngle(self.stale(now))
+        reason = self.stale(now)
+        if report is None or reason:
+            return NoAngle(reason)
         if self._info.edges == 0:
             return self._angles(report.az_rad, report.el_rad, None, 0.0, "fixed")
         found = self._matcher.match(frame.frame_id, frame.mid_exposure, report.latches)

@@ -1,10 +1,11 @@
 """How the twin hands frames to the `synthetic` camera driver: shared memory with a doorbell. Bytes only, no sockets.
 
 Over a Unix socket of type SOCK_SEQPACKET, every packet is one message. The driver sends JSON requests: {"do": "open"}, {"do":
-"start"}, {"do": "stop"}; each is answered by one JSON object (an error as {"error": text}); the answer to "open" carries `Offer`
-and, as an SCM_RIGHTS descriptor, a memory file with `slots` slots. Between "start" and the answer to "stop" the twin rings one
-binary `Doorbell` a frame. A slot is SLOT_HEADER bytes (u64: frame id + 1; 0 while it is being written), then the image, row by row:
-a reader compares the header with its doorbell before and after copying, so that an overwritten slot is never taken for a frame.
+"start"}, {"do": "stop"}; each is answered by one JSON object (an error as {"error": text}); the answer to "open" carries
+`Offer` and, as an SCM_RIGHTS descriptor, a memory file with `slots` slots. Between "start" and the answer to "stop" the twin
+rings one binary `Doorbell` a frame. A slot is SLOT_HEADER bytes (u64: frame id + 1; 0 while it is being written), then the
+image, row by row: a reader compares the header with its doorbell before and after copying, so that an overwritten slot is never
+taken for a frame.
 """
 
 import json

@@ -221,7 +221,7 @@ def decode_static(data: bytes, order: ByteOrder) -> StaticRecord:
 
 
 def encode_history(sequence: int, period_us: int, samples: list[tuple[int, int, int]], order: ByteOrder) -> bytes:
-    """Encoder history: header (map_id, count, sequence, u32 period_us), then up to 20 samples (u32 t_us, az, el), newest first."""
+    """Encoder history: header (map_id, count, sequence, u32 period_us), then up to 20 samples (t_us, az, el), newest first."""
     head = pack(order + HISTORY_HEADER, MAP_ID, len(samples), sequence & 0xFFFF, period_us)
     body = b"".join(pack(order + HISTORY_SAMPLE, *sample) for sample in samples[:HISTORY_DEPTH])
     return (head + body).ljust(2 * HISTORY_WORDS, b"\0")

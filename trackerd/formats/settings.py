@@ -9,6 +9,8 @@ from typing import Annotated, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
+from trackerd.contract.model import Source
+
 ARCSEC = pi / 648_000.0
 
 Positive = Annotated[float, Field(gt=0)]
@@ -45,6 +47,11 @@ class CameraSettings(Settings):
     read_noise_e: NotNegative = 3.0
     transfer_us: NotNegative = 0.0  # end of exposure -> frame complete, where no other clock tells the instant
     timeout_s: Positive = 0.5  # no frame for this long: the stream is lost
+
+    @property
+    def source(self) -> Source:
+        """Where its images come from; a driver that plays or simulates says otherwise."""
+        return Source.LIVE
 
     @model_validator(mode="after")
     def _exposure_fits_the_period(self) -> Self:
@@ -137,6 +144,11 @@ class GimbalSettings(Settings):
         return self
 
     @property
+    def source(self) -> Source:
+        """Where its angles come from; a driver that plays or simulates says otherwise."""
+        return Source.LIVE
+
+    @property
     def encoder_sigma_rad(self) -> float:
         return self.encoder_sigma_arcsec * ARCSEC
 
@@ -154,7 +166,7 @@ class FusionSettings(Settings):
     """From lines of sight to a fix."""
 
     model: Literal["constant_velocity", "constant_acceleration"] = "constant_acceleration"
-    process_noise: Positive = 1e7  # white jerk, mm^2/s^5 (constant velocity: white acceleration, mm^2/s^3)
+    process_noise: Positive = 3e4  # white jerk, mm^2/s^5 (constant velocity: white acceleration, mm^2/s^3); raised by itself
     simultaneous_us: Positive = 1000.0  # lines closer than this are brought together by their own rate, others interpolated
     wait_ms: Positive = 100.0  # for the slowest station's line
     confirm_pairs: Annotated[int, Field(ge=1, le=1000)] = 5

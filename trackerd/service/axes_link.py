@@ -35,7 +35,7 @@ class AxesLink:
         self._clock = clock
         self._latched: LatchedAngles | None = None
         self._report: GimbalReport | None = None
-        self._news = asyncio.Condition()
+        self._news = asyncio.Event()
         self._zeroing = False
         self._late_cycles = 0
         self._exchanges = 0
@@ -55,14 +55,16 @@ class AxesLink:
                     await self._exchange(gimbal)
         except asyncio.CancelledError:
             await self._farewell(gimbal)
-            self._axes.link_lost("closed")
+            self._down("closed")
             raise
         except Exception as error:
-            self._axes.link_lost(str(error))
+            self._down(str(error))
             raise
-        finally:
-            self._latched = self._report = None
-            await self._tell()
+
+    def _down(self, reason: str) -> None:
+        self._axes.link_lost(reason)
+        self._latched = self._report = None
+        self._tell()
 
     async def latched_at(self, frame: Frame) -> AxisAngles | NoAngle:
         """The angles at the frame's mid-exposure; at most two bus cycles late, else NoAngle."""
@@ -130,7 +132,7 @@ class AxesLink:
             self._axes.restarted("the controller has restarted")
             self.epoch += 1
         self._axes.reported(report)
-        await self._tell()
+        self._tell()
 
     async def _farewell(self, gimbal: Gimbal) -> None:
         """Held, not disabled: an EL axis that carries an eccentric camera falls when it is disabled."""
@@ -139,10 +141,10 @@ class AxesLink:
             for _ in range(FAREWELL_CYCLES):
                 await gimbal.exchange(self._axes.command(self._clock.now(), None))
 
-    async def _tell(self) -> None:
-        async with self._news:
-            self._news.notify_all()
+    def _tell(self) -> None:
+        """Wakes everybody who waits for the next status."""
+        self._news.set()
+        self._news = asyncio.Event()
 
     async def _next_report(self) -> None:
-        async with self._news:
-            await self._news.wait()
+        await self._news.wait()

@@ -40,7 +40,7 @@ class Commands:
         chosen = self._chosen(request)
         for part in chosen.values():
             part.task.select(None if pixel is None else _pixel(pixel))
-        return {"gimbals": {name: "selected" if pixel is not None else "finds its target by itself" for name in chosen}}
+        return {"gimbals": dict.fromkeys(chosen, "selected" if pixel is not None else "finds its target by itself")}
 
     def _chosen(self, request: dict[str, Any]) -> dict[str, StationParts]:
         name = request.get("gimbal")

@@ -22,18 +22,17 @@ class FusionTask:
         self._clock = clock
         self._publish = publish
         self._period_s = period_s
-        self._inbox: deque[Step] = deque(maxlen=INBOX)
+        self._inbox: deque[tuple[str, Step]] = deque(maxlen=INBOX)
         self._wake = asyncio.Event()
 
-    def offer(self, step: Step) -> None:
-        if step.sightline is None:
-            return
+    def offer(self, station: str, step: Step) -> None:
         self.dropped += len(self._inbox) == INBOX
-        self._inbox.append(step)
+        self._inbox.append((station, step))
         self._wake.set()
 
     def lost(self, station: str, reason: str) -> None:
-        self._fuser.lost(station, reason)
+        for fix in self._fuser.lost(station, reason, self._clock.now()):
+            self._publish(fix)
 
     async def run(self) -> None:
         async with asyncio.TaskGroup() as group:
@@ -45,10 +44,12 @@ class FusionTask:
             await self._wake.wait()
             self._wake.clear()
             while self._inbox:
-                step = self._inbox.popleft()
-                if step.sightline is not None:
-                    for fix in self._fuser.add(step.sightline, self._clock.now()):
-                        self._publish(fix)
+                station, step = self._inbox.popleft()
+                if step.sightline is None:
+                    self.lost(station, step.why)
+                    continue
+                for fix in self._fuser.add(step.sightline, self._clock.now()):
+                    self._publish(fix)
 
     async def _tick(self) -> None:
         async with aclosing(ticks(self._period_s)) as due:

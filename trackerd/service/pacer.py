@@ -6,7 +6,7 @@ asyncio.sleep wakes 0.5 ms late on average, and its errors add up; a timerfd kee
 import asyncio
 import ctypes
 import os
-from collections.abc import AsyncIterator
+from collections.abc import AsyncGenerator
 from struct import Struct
 
 CLOCK_MONOTONIC = 1
@@ -15,7 +15,7 @@ _ITIMERSPEC = Struct("qqqq")
 _libc = ctypes.CDLL(None, use_errno=True)
 
 
-async def ticks(period_s: float) -> AsyncIterator[int]:
+async def ticks(period_s: float) -> AsyncGenerator[int, None]:
     """Yields at every period how many periods have passed since the last time (1, or more where the loop was late)."""
     fd = _start(period_s)
     loop = asyncio.get_running_loop()

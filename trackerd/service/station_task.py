@@ -1,7 +1,6 @@
 """The task of one station: frame and latched angles into the tracker, its step to the axes and to the fusion."""
 
 from collections.abc import Callable
-from contextlib import aclosing
 from dataclasses import dataclass
 
 from trackerd.contract.clock import Clock, ClockKind, HostNs
@@ -41,7 +40,7 @@ class StationTask:
         link: AxesLink,
         recording: RecordingTime,
         clock: Clock,
-        out: Callable[[Step], None],
+        out: Callable[[str, Step], None],
     ) -> None:
         self.name = name
         self.counts = FrameCounts()
@@ -66,11 +65,10 @@ class StationTask:
                 await self._link.zero_latch()
                 epoch = self._link.epoch
                 await camera.start()
-                async with aclosing(camera.frames()) as frames:
-                    async for frame in frames:
-                        await self._process(frame, times, worker)
-                        if self._link.epoch != epoch:
-                            break
+                async for frame in camera.frames():
+                    await self._process(frame, times, worker)
+                    if self._link.epoch != epoch:
+                        break
 
     def lost(self) -> None:
         """No camera: nothing is tracked."""
@@ -83,7 +81,7 @@ class StationTask:
         step, work_ns = await worker.run(self._timed_step, frame, angles, instants)
         self._link.seen(step)
         self._count(frame, angles, step)
-        self._out(step)
+        self._out(self.name, step)
         self.stages.angles.add(known - frame.arrived)
         self.stages.work.add(work_ns)
         self.stages.tracked.add(self._clock.now() - frame.arrived)

@@ -48,8 +48,16 @@ async def keep(device: Device, run: Callable[[], Awaitable[None]], pauses_s: tup
             await run()
             return
         except DeviceError as error:
+            if _is_cancelled():
+                raise asyncio.CancelledError from error
             device.lost(str(error))
         if loop.time() - began > STEADY_S:
             pause_s = pauses_s[0]
         await asyncio.sleep(pause_s)
         pause_s = min(2 * pause_s, pauses_s[1])
+
+
+def _is_cancelled() -> bool:
+    """A library may turn the cancellation of its caller into an error of its own (pymodbus does)."""
+    task = asyncio.current_task()
+    return task is not None and task.cancelling() > 0

@@ -1,4 +1,4 @@
-"""Image work off the event loop: one thread per station, so that a station's frames stay in order and the two do not wait for each other."""
+"""Image work off the event loop: one thread per station. Its frames stay in order, and no station waits for another."""
 
 import asyncio
 from collections.abc import Callable

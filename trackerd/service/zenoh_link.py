@@ -1,7 +1,7 @@
 """What the cell says and hears on Zenoh.
 
-Position and status are plain publications that are dropped rather than waited for: a put never blocks the loop. Zenoh calls back on
-its own threads; everything is handed to the event loop at once, and answered from there.
+Position and status are plain publications that are dropped rather than waited for: a put never blocks the loop. Zenoh calls
+back on its own threads; everything is handed to the event loop at once, and answered from there.
 """
 
 import asyncio
@@ -53,14 +53,8 @@ class ZenohLink:
         self._held.append(self.session.declare_queryable(key, asked, complete=True))
 
     def declare(self) -> None:
-        quality = {
-            "congestion_control": zenoh.CongestionControl.DROP,
-            "priority": zenoh.Priority.REAL_TIME,
-            "express": True,
-            "encoding": JSON,
-        }
-        self._position = self.session.declare_publisher(self.keys.position, **quality)
-        self._status = self.session.declare_publisher(self.keys.status, **(quality | {"priority": zenoh.Priority.DATA}))
+        self._position = self._publisher(self.keys.position, zenoh.Priority.REAL_TIME)
+        self._status = self._publisher(self.keys.status, zenoh.Priority.DATA)
         zid = str(self.session.info.zid())
         mine = wire.token_key(self.keys.position, zid)
         self._held.append(self.session.liveliness().declare_token(mine))
@@ -71,6 +65,10 @@ class ZenohLink:
 
         watch = self.session.liveliness().declare_subscriber(wire.token_pattern(self.keys.position), changed, history=True)
         self._held.append(watch)
+
+    def _publisher(self, key: str, priority: zenoh.Priority) -> zenoh.Publisher:
+        drop = zenoh.CongestionControl.DROP
+        return self.session.declare_publisher(key, encoding=JSON, congestion_control=drop, priority=priority, express=True)
 
     def _token(self, token: str, alive: bool, mine: str) -> None:
         if token == mine:
@@ -93,7 +91,7 @@ def open_link(settings: ZenohSettings, source: Source) -> Iterator[ZenohLink]:
         link.declare()
         yield link
     finally:
-        session.close()
+        session.close()  # type: ignore[no-untyped-call]
 
 
 def _refuse_second(session: zenoh.Session, key: str) -> None:
@@ -117,4 +115,4 @@ def _reply(query: zenoh.Query, key: str, answer: Answer) -> None:
     except zenoh.ZError as error:
         log.warning("a query on %s could not be answered: %s", key, error)
     finally:
-        query.drop()
+        query.drop()  # type: ignore[no-untyped-call]

@@ -1,4 +1,4 @@
-"""A Zenoh session as the configuration asks for it: loopback and explicit endpoints only, no multicast scouting, a short lease."""
+"""A Zenoh session as the configuration asks for it: explicit endpoints only, no multicast scouting, a short lease."""
 
 import json
 import re

@@ -9,6 +9,7 @@ from trackerd.formats.cell import CellConfig
 from trackerd.formats.twin import DeviceClockSettings, TwinSettings
 from trackerd.geometry.gimbal import Station
 from trackerd.sim.noise import key
+from trackerd.sim.render import Renderer
 from trackerd.sim.scene import Mount, Scene, View
 from trackerd.twin.alarm import Alarm
 from trackerd.twin.axes import GimbalAxes
@@ -37,7 +38,7 @@ class TwinCell:
 
     def __init__(self, scene: Scene, folder: Path) -> None:
         self.scene = scene
-        self._renderers = {name: scene.renderer(name) for name in scene.mounts}  # slow: the scene's time begins after it
+        self._renderers = {name: _warm_renderer(scene, name) for name in scene.mounts}  # slow: time begins after it
         self.times = SceneTime(time.monotonic_ns())
         self.alarm = Alarm()
         self.gimbals = {name: self._gimbal(name, FIRST_SERIAL + n, folder) for n, name in enumerate(scene.mounts)}
@@ -88,6 +89,13 @@ def scene_of(cell: CellConfig, stations: Mapping[str, Station]) -> Scene:
         for name, gimbal in cell.gimbals.items()
     }
     return Scene(cell.twin or TwinSettings(), mounts, cell.probe.radius_mm)
+
+
+def _warm_renderer(scene: Scene, gimbal: str) -> Renderer:
+    """The first image takes many times as long as the others, so it is nobody's."""
+    renderer, view = scene.renderer(gimbal), scene.view(gimbal, 0, 1)
+    renderer.render(view.poses, view.probes_mm, 0)
+    return renderer
 
 
 def _camera_model(scene: Scene, gimbal: str) -> CameraModel:

@@ -1,6 +1,7 @@
 """The twin's process: opens the simulated cell on the wire, says where it is, and leaves nothing behind."""
 
 import asyncio
+import gc
 import os
 import signal
 import sys
@@ -45,6 +46,8 @@ async def run_twin(
     sys.setswitchinterval(SWITCH_S)
     gone = parent_gone or asyncio.Event()
     async with _failures() as failed, _stop_signals() as stopped, _stdin_watched(watch_stdin, gone), _opened(cell) as where:
+        gc.collect()
+        gc.freeze()  # what is there now stays: a full collection would hold a frame up for 20 ms
         announce(where)
         tasks: list[asyncio.Future[Any]] = [asyncio.create_task(stopped.wait()), asyncio.create_task(_lingered(gone, linger_s))]
         try:

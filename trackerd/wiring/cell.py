@@ -28,7 +28,7 @@ def load(path: Path, overrides: Sequence[str] = ()) -> CellConfig:
 
 def source_of(cell: CellConfig) -> Source:
     """A cell is as real as its least real device."""
-    sources = {device.source for device in (*cell.cameras.values(), *cell.gimbals.values())}
+    sources = {camera.source for camera in cell.cameras.values()} | {gimbal.source for gimbal in cell.gimbals.values()}
     if cell.twin is not None or Source.TWIN in sources:
         return Source.TWIN
     return Source.REPLAY if Source.REPLAY in sources else Source.LIVE

@@ -8,10 +8,12 @@ import socket
 from collections.abc import Iterator
 from contextlib import closing
 from dataclasses import dataclass
+from importlib import import_module
 from pathlib import Path
 
 from trackerd.contract.clock import SystemClock
 from trackerd.contract.errors import ConfigError, DeviceError
+from trackerd.contract.model import Source
 from trackerd.formats.calibration import load_calibration
 from trackerd.formats.config import CellConfig
 from trackerd.formats.settings import CameraSettings, GimbalSettings
@@ -20,6 +22,7 @@ from trackerd.wiring.cell import driver
 OPEN_S = 5.0
 FILES_WANTED = 4096  # buffers, sockets and USB descriptors; pylon alone asks for some hundred
 RTPRIO_WANTED = 50
+BUFFERS = 10  # that the camera library queues
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,7 +61,9 @@ def _endpoint(endpoint: str) -> Finding:
             probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             probe.bind((host.strip("[]"), int(port)))
     except OSError as error:
-        return Finding(False, f"{what}: {error.strerror}", "stop who uses the port (ss -ltnp shows it), or choose another in [zenoh]")
+        return Finding(
+            False, f"{what}: {error.strerror}", "stop who uses the port (ss -ltnp shows it), or choose another in [zenoh]"
+        )
     return Finding(True, f"{what}: free")
 
 
@@ -77,15 +82,38 @@ def _limits() -> Iterator[Finding]:
 
 
 def _usb(cell: CellConfig) -> Iterator[Finding]:
-    """Kernel memory for USB transfers against what the cameras of this cell queue."""
-    live = [camera for camera in cell.cameras.values() if camera.driver == "basler" and not getattr(camera, "folder", None)]
-    setting = Path("/sys/module/usbcore/parameters/usbfs_memory_mb")
+    """The bus of real USB cameras: speed, permission, and the kernel's memory for transfers against what they queue."""
+    live = [camera for camera in cell.cameras.values() if camera.driver == "basler" and camera.source is Source.LIVE]
     if not live:
         return
-    health = driver_health()
-    yield from health(len(live))
-    need_mb = round(sum(10 * camera.width_px * camera.height_px for camera in live) / 2**20)
-    have_mb = int(setting.read_text()) if setting.exists() else 0
+    vision = import_module("drivers.usb.vision")
+    try:
+        connected = vision.cameras()
+    except vision.NoUsb as error:
+        yield Finding(False, f"USB: {error}", "apt install libusb-1.0-0")
+        return
+    yield Finding(
+        len(connected) >= len(live),
+        f"USB3 Vision cameras connected: {len(connected)} of {len(live)}",
+        "plug them in, each to a USB 3 port of its own controller",
+    )
+    for camera in connected:
+        what = f"USB camera {camera.vendor_id:04x}:{camera.product_id:04x} at {camera.port}"
+        yield Finding(not camera.fell_back, f"{what}: USB 3 speed", "it fell back to USB 2: another cable, port or hub")
+        yield Finding(
+            camera.serial is not None,
+            f"{what}: may be opened",
+            "copy systemd/70-trackerd.rules to /etc/udev/rules.d, plug it in anew",
+        )
+    yield from _usb_memory(live)
+
+
+def _usb_memory(live: list[CameraSettings]) -> Iterator[Finding]:
+    setting = Path("/sys/module/usbcore/parameters/usbfs_memory_mb")
+    if not setting.exists():
+        yield Finding(False, "USB: the kernel has no usbcore", "this machine has no USB: run on one that has")
+        return
+    need_mb, have_mb = round(sum(BUFFERS * c.width_px * c.height_px for c in live) / 2**20), int(setting.read_text())
     yield Finding(
         have_mb == 0 or have_mb >= need_mb,
         f"USB transfer memory: {have_mb} MB for {need_mb} MB of buffers",

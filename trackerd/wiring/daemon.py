@@ -69,13 +69,9 @@ def with_twin(cell: CellConfig, told: dict[str, Any]) -> CellConfig:
 def build(cell: CellConfig, source: Source, link: ZenohLink, clock: Clock) -> CellService:
     calibration = load_calibration(cell.calibration)
     period_s = 1.0 / min(camera.frame_rate_hz for camera in cell.cameras.values())
-    fuser = Fuser(
-        tuple(cell.gimbals), cell.fusion, cell.probe.radius_mm, cell.probe.radius_tolerance, round(period_s * 1e9)
-    )
+    fuser = Fuser(tuple(cell.gimbals), cell.fusion, cell.probe.radius_mm, cell.probe.radius_tolerance, round(period_s * 1e9))
     status = CellStatus(cell.name, __version__, calibration)
-    outlet = Outlet(
-        link, clock, source, calibration.id, round(cell.fusion.valid_periods * period_s * 1e9), status.gather
-    )
+    outlet = Outlet(link, clock, source, calibration.id, round(cell.fusion.valid_periods * period_s * 1e9), status.gather)
     fusion = FusionTask(fuser, clock, outlet.fix, period_s)
     recording = RecordingTime()
     stations = {
@@ -111,9 +107,7 @@ def _station(
         return opened
 
     task = StationTask(name, tracker, link, recording, clock, fusion.offer)
-    return StationParts(
-        name, open_camera, open_gimbal, task, link, Device(f"camera {gimbal.camera}"), Device(f"gimbal {name}")
-    )
+    return StationParts(name, open_camera, open_gimbal, task, link, Device(f"camera {gimbal.camera}"), Device(f"gimbal {name}"))
 
 
 async def _run(service: CellService, notifier: Notifier, duration_s: float | None) -> None:
@@ -136,6 +130,7 @@ async def _run(service: CellService, notifier: Notifier, duration_s: float | Non
         stopping()
         with suppress(asyncio.CancelledError):
             await running
+    gc.unfreeze()
     log.info("stopped")
 
 
