@@ -42,12 +42,8 @@ async def run_twin(
     "pid": pid} once everything listens. The parent is gone when it sets `parent_gone` or, with `watch_stdin`, when standard
     input ends. Raises ConfigError for a calibration that cannot be read, OSError where a port is taken.
     """
-    cv2.setNumThreads(1)  # each camera has a worker of its own
-    sys.setswitchinterval(SWITCH_S)
     gone = parent_gone or asyncio.Event()
     async with _failures() as failed, _stop_signals() as stopped, _stdin_watched(watch_stdin, gone), _opened(cell) as where:
-        gc.collect()
-        gc.freeze()  # what is there now stays: a full collection would hold a frame up for 20 ms
         announce(where)
         tasks: list[asyncio.Future[Any]] = [asyncio.create_task(stopped.wait()), asyncio.create_task(_lingered(gone, linger_s))]
         try:
@@ -69,6 +65,7 @@ async def _opened(cell: CellConfig) -> AsyncIterator[dict[str, Any]]:
         clock = SystemClock()
         async with _twin_cell(cell, scene, folder) as twin, _truth(cell, twin, clock) as key:
             control = ControlSocket(folder / "control", ControlDesk(twin, clock))
+            undo = _tune()
             try:
                 yield {
                     "gimbals": {n: {"host": g.server.host, "port": g.server.port} for n, g in twin.gimbals.items()},
@@ -78,7 +75,24 @@ async def _opened(cell: CellConfig) -> AsyncIterator[dict[str, Any]]:
                     "pid": os.getpid(),
                 }
             finally:
+                undo()
                 control.close()
+
+
+def _tune() -> Callable[[], None]:
+    """Fit the process to its work; returns how to undo it."""
+    threads, switch_s = cv2.getNumThreads(), sys.getswitchinterval()
+    cv2.setNumThreads(1)  # each camera has a worker of its own
+    sys.setswitchinterval(SWITCH_S)
+    gc.collect()
+    gc.freeze()  # what is there now stays: a full collection would hold a frame up for 20 ms
+
+    def undo() -> None:
+        cv2.setNumThreads(threads)
+        sys.setswitchinterval(switch_s)
+        gc.unfreeze()
+
+    return undo
 
 
 @asynccontextmanager
