@@ -84,7 +84,6 @@ def _tune() -> Callable[[], None]:
     threads, switch_s = cv2.getNumThreads(), sys.getswitchinterval()
     cv2.setNumThreads(1)  # each camera has a worker of its own
     sys.setswitchinterval(SWITCH_S)
-    gc.collect()
     gc.freeze()  # what is there now stays: a full collection would hold a frame up for 20 ms
 
     def undo() -> None:
