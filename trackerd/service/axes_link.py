@@ -15,6 +15,7 @@ from trackerd.engine.track import Step
 from trackerd.estimate.clockfit import FitStatistics
 from trackerd.estimate.latching import Waiting
 from trackerd.formats.settings import GimbalSettings
+from trackerd.service.cancellation import end_if_cancelled
 from trackerd.service.pacer import ticks
 
 log = logging.getLogger("trackerd.axes")
@@ -53,6 +54,7 @@ class AxesLink:
                 async for periods in due:
                     self._late_cycles += periods - 1
                     await self._exchange(gimbal)
+                    end_if_cancelled()
         except asyncio.CancelledError:
             await self._farewell(gimbal)
             self._down("closed")

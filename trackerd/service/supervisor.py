@@ -6,6 +6,7 @@ from collections.abc import Awaitable, Callable
 from dataclasses import dataclass, field
 
 from trackerd.contract.errors import DeviceError
+from trackerd.service.cancellation import end_if_cancelled
 
 log = logging.getLogger("trackerd.supervisor")
 STEADY_S = 10.0  # a device that ran this long is trusted again: the pauses start from the shortest
@@ -48,16 +49,9 @@ async def keep(device: Device, run: Callable[[], Awaitable[None]], pauses_s: tup
             await run()
             return
         except DeviceError as error:
-            if _is_cancelled():
-                raise asyncio.CancelledError from error
+            end_if_cancelled()
             device.lost(str(error))
         if loop.time() - began > STEADY_S:
             pause_s = pauses_s[0]
         await asyncio.sleep(pause_s)
         pause_s = min(2 * pause_s, pauses_s[1])
-
-
-def _is_cancelled() -> bool:
-    """A library may turn the cancellation of its caller into an error of its own (pymodbus does)."""
-    task = asyncio.current_task()
-    return task is not None and task.cancelling() > 0
