@@ -130,7 +130,7 @@ class GimbalSettings(Settings):
     camera: str  # the name of the camera it carries
     cycle_ms: Annotated[float, Field(ge=1, le=100)] = 5.0
     stale_ms: Annotated[float, Field(ge=5, le=1000)] = 20.0  # a status older than this: no angles, no fix
-    encoder_sigma_arcsec: NotNegative = 2.0  # 1 sigma of one reading, independent from reading to reading
+    encoder_sigma_arcsec: NotNegative = 2.0  # 1 sigma of one frame's angle, independent from frame to frame
     encoder_fixed_arcsec: NotNegative = 0.0  # 1 sigma of the part that is a function of the angle
     steering: SteeringSettings = SteeringSettings()
     tracking: TrackingSettings = TrackingSettings()

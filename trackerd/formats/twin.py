@@ -65,7 +65,7 @@ class AxesSettings(Settings):
 class EncoderSettings(Settings):
     """Reading = angle + a fixed function of the angle + noise of each reading."""
 
-    white_arcsec: NotNegative = 0.0  # 1 sigma of one reading: repeatability
+    white_arcsec: NotNegative = 0.0  # 1 sigma of one look (both edges of an exposure share it): repeatability
     fixed_arcsec: NotNegative = 0.0  # rms over the turn of the map, its phases seeded for each axis
     fixed_cycles: tuple[Annotated[int, Field(ge=1, le=100_000)], ...] = (1, 2, 36, 360)  # a turn
     fixed_weights: tuple[Positive, ...] = (1.0, 1.0, 1.0, 1.0)  # relative amplitudes of these

@@ -48,14 +48,20 @@ class SimGimbal:
     def rates(self, t_ns: int) -> tuple[float, float]:
         return self.az.rate(t_ns), self.el.rate(t_ns)
 
-    def encoder(self, t_ns: int) -> tuple[float, float]:
-        """What the controller reads at an instant, (az, el) in rad."""
-        return self._az_encoder.read(self.az.angle(t_ns), t_ns), self._el_encoder.read(self.el.angle(t_ns), t_ns)
+    def encoder(self, t_ns: int, look_ns: int | None = None) -> tuple[float, float]:
+        """What the controller reads at an instant, (az, el) in rad; readings of one look have one noise (default: their own)."""
+        look_ns = t_ns if look_ns is None else look_ns
+        return self._az_encoder.read(self.az.angle(t_ns), look_ns), self._el_encoder.read(self.el.angle(t_ns), look_ns)
 
-    def latched(self, t_ns: int) -> tuple[float, float]:
-        """What the latch holds for an edge at an instant: it takes the angles a little late."""
+    def latched(self, t_ns: int, exposure_ns: int | None = None) -> tuple[float, float]:
+        """What the latch holds for an edge at an instant: it takes the angles a little late.
+
+        Both edges of the exposure that began at `exposure_ns` share the noise: what spoils a reading does not change within
+        some ms, so the mean of two edges is no better than one.
+        """
         late_us = self._encoders.latch_skew_us + self._encoders.latch_jitter_us * normal(self._latch_noise, t_ns)
-        return self.encoder(t_ns + round(late_us * US))
+        taken_ns = t_ns + round(late_us * US)
+        return self.encoder(taken_ns, taken_ns if exposure_ns is None else exposure_ns)
 
     def pose(self, t_ns: int) -> Rigid:
         """The true world_from_camera."""

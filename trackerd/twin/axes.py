@@ -51,8 +51,8 @@ class Axes(Protocol):
         """The encoders, with all their errors; at most 0.5 s back."""
         ...
 
-    def latched(self, edge_ns: int) -> Pair:
-        """What the latch input captures for an edge."""
+    def latched(self, edge_ns: int, exposure_ns: int) -> Pair:
+        """What the latch input captures for an edge of the exposure that began at `exposure_ns`."""
         ...
 
     @property
@@ -94,8 +94,8 @@ class GimbalAxes:
     def reading(self, t_ns: int) -> Pair:
         return self._gimbal.encoder(t_ns)
 
-    def latched(self, edge_ns: int) -> Pair:
-        return self._gimbal.latched(edge_ns)
+    def latched(self, edge_ns: int, exposure_ns: int) -> Pair:
+        return self._gimbal.latched(edge_ns, exposure_ns)
 
     def motion(self, t_ns: int) -> tuple[Pair, Pair]:
         return self._gimbal.angles(t_ns), self._gimbal.rates(t_ns)

@@ -254,7 +254,7 @@ class Controller:
             return
         for edge in self.line.edges(self.now_ns - self.axes.latch_settles_ns):
             if edge.t_ns > self._latch_zero_ns and self.latch.armed:
-                az, el = fractions(self.axes.latched(edge.t_ns))
+                az, el = fractions(self.axes.latched(edge.t_ns, edge.exposure_ns))
                 self.latch.edge(edge.falling, az, el, self.clock.device_us(edge.t_ns) & gm.LOW_WORD)
 
     def _check_travel(self) -> None:

@@ -25,6 +25,7 @@ class Exposure:
 class Edge:
     t_ns: int
     falling: bool
+    exposure_ns: int  # when its exposure began
 
 
 class ExposureLine:
@@ -90,7 +91,7 @@ class ExposureLine:
 
     def _expose(self, rising_ns: int) -> None:
         falling_ns = rising_ns + self.trigger.exposure_ns
-        self._edges.extend((Edge(rising_ns, False), Edge(falling_ns, True)))
+        self._edges.extend((Edge(rising_ns, False, rising_ns), Edge(falling_ns, True, rising_ns)))
         self._exposures.append(Exposure(self.exposed, self._frame_id, rising_ns, falling_ns))
         self._frame_id += 1
         self._k += 1
