@@ -1,5 +1,6 @@
 """The status: what every device, station and task tells of itself, gathered into plain values."""
 
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -23,8 +24,9 @@ class Watched:
 
 
 class CellStatus:
-    def __init__(self, cell: str, version: str, calibration: Calibration) -> None:
-        self._head = {"cell": cell, "version": version, "calibration_id": calibration.id}
+    def __init__(self, cell: str, version: str, calibration: Calibration, twin: Mapping[str, Any] | None) -> None:
+        """`twin`: where a simulated cell is on the wire, as it announced itself."""
+        self._head = {"cell": cell, "version": version, "calibration_id": calibration.id, "twin": twin}
         self._watched: Watched | None = None
         self._vitals: Vitals | None = None
         self._looked = 0

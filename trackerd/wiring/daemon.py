@@ -41,16 +41,18 @@ log = logging.getLogger("trackerd")
 async def serve(cell: CellConfig, overrides: Sequence[str], duration_s: float | None) -> None:
     """Runs the cell until SIGTERM, SIGINT, the end of a recording, or for `duration_s` after READY."""
     cv2.setNumThreads(1)  # one worker a station is the parallelism; OpenCV's own threads only fight over two cores
+    told = None
     async with AsyncExitStack() as stack:
         if cell.twin is not None:
             twin = await stack.enter_async_context(start_twin(cell.path, overrides))
             source = source_of(cell)
             link = stack.enter_context(open_link(cell.zenoh, source))
-            cell = with_twin(cell, await announcement(twin))
+            told = await announcement(twin)
+            cell = with_twin(cell, told)
         else:
             source = source_of(cell)
             link = stack.enter_context(open_link(cell.zenoh, source))
-        await _run(build(cell, source, link, SystemClock()), Notifier.from_environment(), duration_s)
+        await _run(build(cell, source, link, SystemClock(), told), Notifier.from_environment(), duration_s)
 
 
 def with_twin(cell: CellConfig, told: dict[str, Any]) -> CellConfig:
@@ -66,11 +68,12 @@ def with_twin(cell: CellConfig, told: dict[str, Any]) -> CellConfig:
     return replace(cell, gimbals=gimbals, cameras=cameras)
 
 
-def build(cell: CellConfig, source: Source, link: ZenohLink, clock: Clock) -> CellService:
+def build(cell: CellConfig, source: Source, link: ZenohLink, clock: Clock, told: dict[str, Any] | None = None) -> CellService:
+    """`told`: what the twin announced, where the cell has one."""
     calibration = load_calibration(cell.calibration)
     period_s = 1.0 / min(camera.frame_rate_hz for camera in cell.cameras.values())
     fuser = Fuser(tuple(cell.gimbals), cell.fusion, cell.probe.radius_mm, cell.probe.radius_tolerance, round(period_s * 1e9))
-    status = CellStatus(cell.name, __version__, calibration)
+    status = CellStatus(cell.name, __version__, calibration, told)
     outlet = Outlet(link, clock, source, calibration.id, round(cell.fusion.valid_periods * period_s * 1e9), status.gather)
     fusion = FusionTask(fuser, clock, outlet.fix, period_s)
     recording = RecordingTime()
