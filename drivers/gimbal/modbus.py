@@ -11,9 +11,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from pydantic import Field
 
-from trackerd.contract.clock import Clock, ClockKind, ControllerUs
+from drivers.gimbal.records import encode_command, info, report
+from trackerd.contract.clock import Clock
 from trackerd.contract.errors import DeviceFault, DeviceMissing, DeviceTimeout
-from trackerd.contract.model import AxisCommand, GimbalFlag, GimbalInfo, GimbalReport, Latch
+from trackerd.contract.model import AxisCommand, GimbalReport
 from trackerd.formats import gimbal_map as m
 from trackerd.formats.settings import GimbalSettings
 
@@ -22,7 +23,6 @@ if TYPE_CHECKING:
     from pymodbus.pdu import ModbusPDU
 
 ILLEGAL_FUNCTION, BUSY, NO_PATH, NO_ANSWER_BEHIND = 1, 6, 10, 11  # Modbus exception codes; 10 and 11 are a gateway's
-ALL_FLAGS = sum(flag.value for flag in GimbalFlag)
 
 
 class Settings(GimbalSettings):
@@ -145,11 +145,11 @@ class ModbusGimbal:
     """One controller, connected."""
 
     def __init__(self, name: str, link: Link, stamps: Stamps, static: m.StaticRecord) -> None:
-        self.info = _info(name, static)
+        self.info = info(name, static)
         self._link, self._stamps = link, stamps
 
     async def exchange(self, command: AxisCommand) -> GimbalReport:
-        data = await self._link.write_and_read("exchange", encode(command))
+        data = await self._first(command)
         try:
             return self._report(data)
         except m.TornRecord:
@@ -159,67 +159,17 @@ class ModbusGimbal:
         except m.TornRecord as err:
             raise DeviceFault(self._link.device, "exchange", f"torn twice in a row: {err}") from err
 
+    async def _first(self, command: AxisCommand) -> bytes:
+        if not command.sequence:
+            return await self._link.read("read the status", m.STATUS_REGISTER, m.STATUS_WORDS)
+        return await self._link.write_and_read("exchange", encode_command(command, m.ByteOrder.MODBUS))
+
     def _report(self, data: bytes) -> GimbalReport:
         try:
             status = m.decode_status(data, m.ByteOrder.MODBUS)
         except m.ForeignRecord as err:
             raise DeviceFault(self._link.device, "exchange", str(err)) from err
-        return report(status, self._stamps)
-
-
-def encode(command: AxisCommand) -> bytes:
-    """The command record on the wire. Angles wrap, speeds are clamped to their range."""
-    bits = (
-        (command.enable, m.ENABLE),
-        (command.follow, m.FOLLOW),
-        (command.halt, m.HALT),
-        (command.reset_fault, m.FAULT_RESET),
-        (command.latch, m.LATCH_ENABLE),
-        (command.latch_zero, m.LATCH_ZERO),
-        (command.velocity_valid, m.VELOCITY_VALID),
-        (command.at is not None, m.TIME_VALID),
-    )
-    record = m.CommandRecord(
-        cmd_seq=command.sequence,
-        control=sum(bit for is_set, bit in bits if is_set),
-        mode=int(command.mode),
-        az_cmd=m.counts(command.az_rad)[0],
-        el_cmd=m.counts(command.el_rad)[0],
-        az_vel=m.counts_per_ms(command.az_rad_s),
-        el_vel=m.counts_per_ms(command.el_rad_s),
-        cmd_time_us=(command.at or 0) & m.LOW_WORD,
-        watchdog_ms=command.watchdog_ms,
-    )
-    return m.encode_command(record, m.ByteOrder.MODBUS)
-
-
-def report(status: m.StatusRecord, stamps: Stamps) -> GimbalReport:
-    """Fractions and low words unwrapped: live angles by the whole turns, latches near the live sample."""
-    az_rad, el_rad = m.angle(status.az_live, status.az_turns), m.angle(status.el_live, status.el_turns)
-    latches = tuple(
-        Latch(
-            index=(latch.index - 1) & m.INDEX_MASK,  # the controller counts from 1
-            falling=bool(latch.index & m.FALLING_EDGE),
-            az_rad=m.nearest_angle(latch.az, az_rad),
-            el_rad=m.nearest_angle(latch.el, el_rad),
-            instant=ControllerUs(m.unwrap(latch.t_us, status.clock_us)),
-        )
-        for latch in status.latches
-    )
-    return GimbalReport(
-        sequence=status.status_seq,
-        flags=GimbalFlag(status.status & ALL_FLAGS),
-        fault=status.fault,
-        echo=status.cmd_seq_echo,
-        command_age_ms=status.cmd_age_ms,
-        az_rad=az_rad,
-        el_rad=el_rad,
-        instant=ControllerUs(status.clock_us),
-        latch_total=status.latch_total,
-        latches=latches,
-        sent=stamps.sent,
-        received=stamps.received,
-    )
+        return report(status, self._stamps.sent, self._stamps.received)
 
 
 async def _read_static(link: Link) -> m.StaticRecord:
@@ -229,22 +179,6 @@ async def _read_static(link: Link) -> m.StaticRecord:
         return m.decode_static(data, m.ByteOrder.MODBUS)
     except m.ForeignRecord as err:
         raise DeviceFault(link.device, doing, f"another map: {err}") from err
-
-
-def _info(name: str, static: m.StaticRecord) -> GimbalInfo:
-    return GimbalInfo(
-        name=name,
-        serial=str(static.serial),
-        firmware="{}.{}".format(*static.firmware),
-        steerable=True,
-        clock=ClockKind.DEVICE,
-        az_limits_rad=(m.angle(*static.az_min), m.angle(*static.az_max)),
-        el_limits_rad=(m.angle(*static.el_min), m.angle(*static.el_max)),
-        max_rad_s=m.rad_per_s(static.max_speed),
-        max_rad_s2=m.rad_per_s(static.max_acceleration) * 1e3,
-        latch_delay_ns=static.latch_delay_ns,
-        encoder_delay_ns=static.encoder_delay_ns,
-    )
 
 
 def _refused(answer: Any, code: int) -> bool:

@@ -15,6 +15,7 @@ from pydantic import ValidationError
 from pymodbus.constants import ExcCodes
 
 from drivers.gimbal import modbus
+from drivers.gimbal.records import encode_command
 from trackerd.contract.clock import ControllerUs, ManualClock
 from trackerd.contract.errors import DeviceError, DeviceFault, DeviceMissing, DeviceTimeout
 from trackerd.contract.model import AxisCommand, AxisMode, GimbalFlag
@@ -22,7 +23,7 @@ from trackerd.formats import gimbal_map as m
 
 
 def decoded(command: AxisCommand) -> m.CommandRecord:
-    return m.decode_command(modbus.encode(command), BIG)
+    return m.decode_command(encode_command(command, BIG), BIG)
 
 
 @given(az=st.floats(-50, 50), el=st.floats(-50, 50))
@@ -62,6 +63,15 @@ def test_mode_speed_and_watchdog_travel_along() -> None:
     assert (record.cmd_seq, record.mode, record.watchdog_ms) == (9, 1, 80)
     assert m.rad_per_s(record.az_vel) == pytest.approx(0.5, abs=m.rad_per_s(1))
     assert record.el_vel == -(1 << 31)
+
+
+async def test_without_a_command_the_status_alone_is_asked_for(controller: SimController) -> None:
+    async with open_modbus(controller.port) as gimbal:
+        await gimbal.exchange(AxisCommand(5))
+        written = controller.command
+        report = await gimbal.exchange(AxisCommand(0, enable=True))
+    assert controller.command == written
+    assert report.echo == 5
 
 
 @pytest.fixture

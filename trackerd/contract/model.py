@@ -87,7 +87,7 @@ class AxisCommand:
     """One command record, in encoder angles (signs belong to the calibration). `sequence` is the heartbeat: only the control
     loop counts it up, so that a hung loop is caught although packets still flow."""
 
-    sequence: int  # 1..65535, skips 0
+    sequence: int  # 1..65535, skips 0; 0: no command yet, only the status is asked for
     mode: AxisMode = AxisMode.HOLD
     az_rad: float = 0.0
     el_rad: float = 0.0
@@ -146,6 +146,7 @@ class GimbalInfo:
     max_rad_s2: float
     latch_delay_ns: int = 0
     encoder_delay_ns: int = 0
+    snapshot_ns: int = 0  # the greatest age of a status when it is served: one cycle of the controller's; 0: made on request
     latch_sigma_rad: float = 0.0  # what the latch itself adds (jitter); the encoder's own sigma is configured
     edges: int = 2  # latched per exposure: 2 both, mid-exposure is their mean; 1 the entry is mid-exposure; 0 no latches
 

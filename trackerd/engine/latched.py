@@ -9,7 +9,7 @@ from trackerd.contract.model import AxisAngles, Frame, GimbalInfo, GimbalReport,
 from trackerd.estimate.clockfit import ClockFit, FitStatistics
 from trackerd.estimate.latching import LatchMatcher, Match, Waiting
 
-STILL_CYCLES = 3  # a status_seq that stands still for this many bus cycles is a dead controller
+STILL_CYCLES = 3  # a status_seq that stands still for so many exchanges is a dead controller behind a live bus
 
 
 @dataclass(slots=True)
@@ -37,27 +37,30 @@ class Encoders(Protocol):
 class LatchedAngles:
     """One link's worth of status records, and the question: where were the axes at mid-exposure of this frame?"""
 
-    def __init__(self, info: GimbalInfo, encoders: Encoders, recording: RecordingTime, cycle_ns: int, stale_ns: int) -> None:
+    def __init__(self, info: GimbalInfo, encoders: Encoders, recording: RecordingTime, stale_ns: int) -> None:
         self._info = info
         self._encoders = encoders
         self._recording = recording
-        self._stale_ns = max(stale_ns, STILL_CYCLES * cycle_ns)
+        self._stale_ns = stale_ns
         self._matcher = LatchMatcher(info.edges)
         self._fit = ClockFit()
         self._report: GimbalReport | None = None
         self._changed: HostNs | None = None
+        self._still = 0  # exchanges in a row without a new status
 
     def reported(self, report: GimbalReport) -> bool:
         """Takes a status record. True: the controller has restarted, frames and latches must be numbered anew."""
         last, self._report = self._report, report
         if last is None or report.sequence != last.sequence:
-            self._changed = report.received
+            self._changed, self._still = report.received, 0
+        else:
+            self._still += 1
         restarted = last is not None and report.instant < last.instant
         if restarted:
             self._fit.reset()
             self._matcher.reset()
         if self._info.clock is ClockKind.DEVICE:
-            self._fit.add(report.instant * 1000, report.sent, report.received)
+            self._fit.add(report.instant * 1000, HostNs(report.sent - self._info.snapshot_ns), report.received)
         return restarted
 
     def renumbered(self) -> None:
@@ -68,6 +71,8 @@ class LatchedAngles:
         """Why the controller's status is not to be trusted, or nothing."""
         if self._changed is None:
             return "no status from the controller"
+        if self._still >= STILL_CYCLES:
+            return f"the controller's status stands still since {self._still} exchanges"
         age_ns = now - self._changed
         return f"the controller's status is {age_ns * 1e-6:.0f} ms old" if age_ns > self._stale_ns else ""
 

@@ -45,9 +45,7 @@ class AxesLink:
         """Until it is cancelled, or the link breaks with a DeviceError. The axes are told to hold on every way out."""
         cycle_s = self._settings.cycle_ms * 1e-3
         self._axes.connected(gimbal.info)
-        self._latched = LatchedAngles(
-            gimbal.info, self._settings, self._recording, round(cycle_s * 1e9), round(self._settings.stale_ms * 1e6)
-        )
+        self._latched = LatchedAngles(gimbal.info, self._settings, self._recording, round(self._settings.stale_ms * 1e6))
         self.epoch += 1
         try:
             async with aclosing(ticks(cycle_s)) as due:

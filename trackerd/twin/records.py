@@ -5,7 +5,7 @@ from trackerd.twin.axes import Axes
 
 WATCHDOG_MIN_MS, WATCHDOG_DEFAULT_MS, WATCHDOG_MAX_MS = 5, 50, 1000
 FIRMWARE = (1, 1)
-CYCLE_US = 1000
+CYCLE_US = 0  # no cycle: every status is made when it is asked for
 CLOCK_FREE = 0
 
 
