@@ -59,7 +59,7 @@ class ReplayGimbal:
             az_rad=last.az_rad,
             el_rad=last.el_rad,
             instant=last.instant,
-            latch_total=last.index + 1,
+            latch_total=0 if command.latch_zero else last.index + 1,  # its frames are numbered from 0 as they stand
             latches=self._newest_first,
             sent=now,
             received=now,
