@@ -1,8 +1,11 @@
 """systemd's notify protocol: one datagram a message (sd_notify(3)). Without NOTIFY_SOCKET it says nothing."""
 
+import logging
 import os
 import socket
 from dataclasses import dataclass
+
+log = logging.getLogger("trackerd.notify")
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,9 +32,12 @@ class Notifier:
         if self.address is None:
             return
         address = "\0" + self.address[1:] if self.address.startswith("@") else self.address
-        with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_CLOEXEC) as out:
-            out.connect(address)
-            out.send(message.encode())
+        try:
+            with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_CLOEXEC | socket.SOCK_NONBLOCK) as out:
+                out.connect(address)
+                out.send(message.encode())
+        except OSError as error:  # nobody listens, or not fast enough: no reason to stop measuring
+            log.warning("NOTIFY_SOCKET %s: %s", self.address, error)
 
 
 def watchdog_period_s() -> float | None:
