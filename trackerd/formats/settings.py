@@ -187,7 +187,7 @@ class ZenohSettings(Settings):
     replay_prefix: str = "replay"
     allow_live_key: bool = False  # a twin or a replay may use the key as it stands
     lease_ms: Annotated[int, Field(ge=500, le=60_000)] = 2000
-    overlay: Path | None = None  # a Zenoh json5 file, laid over the above
+    overlay: Path | None = None  # a Zenoh json5 file for what has no key here; the keys above rule
 
     @field_validator("key", "twin_prefix", "replay_prefix")
     @classmethod

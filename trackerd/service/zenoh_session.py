@@ -36,11 +36,19 @@ def _open(settings: ZenohSettings, changes: dict[str, Any]) -> zenoh.Session:
         **changes,
     }
     for path, value in values.items():
-        config.insert_json5(path, json.dumps(value))
+        _insert(config, path, value)
     try:
         return zenoh.open(config)
     except zenoh.ZError as error:
         raise RefusedStart(_in_words(settings, str(error))) from error
+
+
+def _insert(config: zenoh.Config, path: str, value: Any) -> None:
+    try:
+        config.insert_json5(path, json.dumps(value))
+    except zenoh.ZError as error:
+        answer = re.sub(r'^Json5Err\(Message \{ msg: "', "", str(error))
+        raise ConfigError(f"[zenoh] {path.partition('/')[0]} = {value}: {_first_sentence(answer)}") from error
 
 
 def _base(settings: ZenohSettings) -> zenoh.Config:
