@@ -7,6 +7,8 @@ from trackerd.service.cell_service import StationParts
 from trackerd.service.outlet import Outlet
 from trackerd.service.zenoh_link import ZenohLink
 
+BEYOND_ANY_SENSOR_PX = 1e6
+
 
 @dataclass(frozen=True, slots=True)
 class Commands:
@@ -22,9 +24,11 @@ class Commands:
     def arm(self, request: dict[str, Any]) -> dict[str, Any]:
         """{"gimbal": name} or {} for all; {"hold": true} disarms. The answer tells what each gimbal still waits for."""
         _known_keys(request, {"gimbal", "hold"})
+        if not isinstance(request.get("hold", False), bool):
+            raise ValueError(f"hold {request['hold']!r}: needs true or false")
         answers = {}
         for name, part in self._chosen(request).items():
-            if request.get("hold"):
+            if request.get("hold", False):
                 part.link.hold("held by the operator")
                 answers[name] = "held"
             else:
@@ -46,7 +50,7 @@ class Commands:
         name = request.get("gimbal")
         if name is None:
             return self.stations
-        if name not in self.stations:
+        if not isinstance(name, str) or name not in self.stations:
             raise ValueError(f"no gimbal {name!r} (there are: {', '.join(self.stations)})")
         return {name: self.stations[name]}
 
@@ -58,6 +62,10 @@ def _known_keys(request: dict[str, Any], known: set[str]) -> None:
 
 
 def _pixel(value: Any) -> tuple[float, float]:
-    if not isinstance(value, list) or len(value) != 2 or not all(isinstance(v, int | float) for v in value):
+    if not isinstance(value, list) or len(value) != 2 or not all(map(_is_number, value)):
         raise ValueError(f"pixel {value!r}: needs two numbers [x, y]")
     return float(value[0]), float(value[1])
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) < BEYOND_ANY_SENSOR_PX

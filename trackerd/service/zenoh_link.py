@@ -110,7 +110,7 @@ def _reply(query: zenoh.Query, key: str, answer: Answer) -> None:
         if not isinstance(request, dict):
             raise ValueError("the request must be a JSON object")
         query.reply(key, wire.encode(answer(request)), encoding=JSON)
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         query.reply_err(wire.encode({"error": str(error)}), encoding=JSON)
     except zenoh.ZError as error:
         log.warning("a query on %s could not be answered: %s", key, error)
