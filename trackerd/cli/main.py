@@ -4,6 +4,7 @@ import argparse
 import logging
 import sys
 from collections.abc import Callable, Iterator, Sequence
+from math import isfinite, nan
 from pathlib import Path
 
 from trackerd import __version__
@@ -30,6 +31,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = _parser().parse_args(arguments)
     if options.config is None:
         _parser().error("--config FILE is needed")
+    options.overrides += options.more_overrides
     command: Callable[[argparse.Namespace], int] = options.run
     try:
         return command(options)
@@ -62,25 +64,26 @@ def _parser() -> argparse.ArgumentParser:
         prog="trackerd", description=ABOUT, epilog=STATUSES, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--version", action="version", version=f"trackerd {__version__}")
-    _common(parser, None, [])
+    _common(parser, None, "overrides")
     parser.add_argument("--duration", type=_seconds, metavar="S", help="stop S seconds after READY (default: run on)")
-    parser.set_defaults(run=_serve)
+    parser.set_defaults(run=_serve, overrides=[], more_overrides=[])
     commands = parser.add_subparsers(title="commands", metavar="COMMAND")
     for add in (_add_check, _add_twin, _add_watch, _add_select, _add_arm):
-        _common(add(commands), argparse.SUPPRESS, argparse.SUPPRESS)
+        _common(add(commands), argparse.SUPPRESS, "more_overrides")
     return parser
 
 
-def _common(parser: argparse.ArgumentParser, config: object, overrides: object) -> None:
+def _common(parser: argparse.ArgumentParser, config: object, overrides: str) -> None:
+    """Options that may stand before and after the command; `overrides` is the list that `--set` adds to there."""
     parser.add_argument(
         "--config", type=Path, metavar="FILE", default=config, help="the cell: a TOML file, see config/cell.toml"
     )
     parser.add_argument(
         "--set",
-        dest="overrides",
+        dest=overrides,
         action="append",
         metavar="KEY=VALUE",
-        default=overrides,
+        default=argparse.SUPPRESS,
         help="lay one value over the file, as in --set gimbal.left.port=5021 (repeatable)",
     )
 
@@ -176,7 +179,7 @@ def _watch(options: argparse.Namespace) -> int:
 def _select(options: argparse.Namespace) -> int:
     from trackerd.cli.ask import ask
 
-    pixel = None if options.pixel == "auto" else list(options.pixel)
+    pixel = None if options.pixel == "auto" else options.pixel
     return ask(options.config, options.overrides, "select", {"gimbal": options.gimbal, "pixel": pixel})
 
 
@@ -188,20 +191,27 @@ def _arm(options: argparse.Namespace) -> int:
 
 
 def _seconds(text: str) -> float:
-    value = float(text)
+    value = _number(text)
     if not 0 < value < 1e9:
-        raise argparse.ArgumentTypeError("needs a positive number of seconds")
+        raise argparse.ArgumentTypeError(f"{text!r}: needs a positive number of seconds")
     return value
 
 
 def _pixel(text: str) -> object:
     if text == "auto":
         return text
+    pixel = [_number(part) for part in text.split(",")]
+    if len(pixel) != 2 or not all(map(isfinite, pixel)):
+        raise argparse.ArgumentTypeError(f"{text!r}: needs X,Y, as in 1020,760, or auto")
+    return pixel
+
+
+def _number(text: str) -> float:
+    """NaN for what is none."""
     try:
-        x, y = (float(part) for part in text.split(","))
+        return float(text)
     except ValueError:
-        raise argparse.ArgumentTypeError(f"{text!r}: needs X,Y, as in 1020,760, or auto") from None
-    return x, y
+        return nan
 
 
 def set_up_log(level: str, form: str) -> None:
