@@ -60,9 +60,11 @@ def _endpoint(endpoint: str) -> Finding:
         with closing(socket.socket(socket.AF_INET6 if ":" in host else socket.AF_INET)) as probe:
             probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             probe.bind((host.strip("[]"), int(port)))
-    except OSError as error:
+    except (OSError, OverflowError) as error:
         return Finding(
-            False, f"{what}: {error.strerror}", "stop who uses the port (ss -ltnp shows it), or choose another in [zenoh]"
+            False,
+            f"{what}: {getattr(error, 'strerror', error)}",
+            "stop who uses the port (ss -ltnp shows it), or choose another in [zenoh]",
         )
     return Finding(True, f"{what}: free")
 
@@ -129,6 +131,8 @@ def _device(role: str, name: str, settings: CameraSettings | GimbalSettings) -> 
         return Finding(True, f"{what}: {asyncio.run(_opened(role, name, settings))}")
     except (ConfigError, DeviceError) as error:
         return Finding(False, f"{what}: {error}", _mend(role, settings))
+    except TimeoutError:
+        return Finding(False, f"{what}: not open after {OPEN_S:g} s", _mend(role, settings))
 
 
 async def _opened(role: str, name: str, settings: CameraSettings | GimbalSettings) -> str:
