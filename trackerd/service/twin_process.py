@@ -18,10 +18,10 @@ STOP_S = 3.0
 
 @asynccontextmanager
 async def start_twin(config: Path, overrides: Sequence[str]) -> AsyncIterator[asyncio.subprocess.Process]:
-    """Starts it at once; `announcement` waits until it is up."""
+    """Starts it at once; `announcement` waits until it is up. -P: never the code of whatever folder we were started in."""
     options = [word for override in overrides for word in ("--set", override)]
     process = await asyncio.create_subprocess_exec(
-        sys.executable, "-m", "trackerd", "twin", "--config", str(config), "--with-parent", *options,
+        sys.executable, "-P", "-m", "trackerd", "twin", "--config", str(config), "--with-parent", *options,
         stdin=asyncio.subprocess.PIPE, stdout=asyncio.subprocess.PIPE,
     )  # fmt: skip
     try:
