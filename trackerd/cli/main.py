@@ -2,6 +2,7 @@
 
 import argparse
 import logging
+import os
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from math import isfinite, nan
@@ -32,6 +33,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if options.config is None:
         _parser().error("--config FILE is needed")
     options.overrides += options.more_overrides
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before NumPy is loaded: small matrices, and cores are for the stations
     command: Callable[[argparse.Namespace], int] = options.run
     try:
         return command(options)

@@ -32,7 +32,8 @@ def sightline(station: Station, found: Found, angles: AxisAngles, radius_mm: flo
     direction = world_from_camera.rotate(d_camera)
     p_mm = world_from_camera.translation_mm + direction * range_mm
 
-    angle_per_px = np.linalg.pinv(station.lens.jacobian(d_camera))  # (3, 2): for a point at unit distance
+    px_per_angle = station.lens.jacobian(d_camera)  # (2, 3): of a point at unit distance
+    angle_per_px = px_per_angle.T @ np.linalg.inv(px_per_angle @ px_per_angle.T)
     pixel_part = world_from_camera.rotation @ angle_per_px
     axes = station.axes(angles.az_rad, angles.el_rad)
     swing = np.column_stack((cross(axes.az, p_mm - axes.p_az_mm), cross(axes.el, p_mm - axes.p_el_mm))) / range_mm

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 from trackerd.contract.clock import Clock
 from trackerd.contract.errors import DeviceError, DeviceTimeout
-from trackerd.contract.model import AxisAngles, Frame, GimbalReport, NoAngle
+from trackerd.contract.model import AxisAngles, Frame, NoAngle
 from trackerd.contract.ports import Gimbal
 from trackerd.engine.axes import Axes, AxesSnapshot
 from trackerd.engine.latched import LatchedAngles, RecordingTime
@@ -21,6 +21,7 @@ from trackerd.service.pacer import ticks
 log = logging.getLogger("trackerd.axes")
 LATCH_CYCLES = 2  # a frame waits this many bus cycles for the status that holds its latch
 ZERO_CYCLES = 40
+OUT_OF_STEP_FRAMES = 25  # about half a second
 FAREWELL_CYCLES = 3  # 'hold' is sent this often before the link is closed
 
 
@@ -35,9 +36,10 @@ class AxesLink:
         self._recording = recording
         self._clock = clock
         self._latched: LatchedAngles | None = None
-        self._report: GimbalReport | None = None
         self._news = asyncio.Event()
         self._zeroing = False
+        self._zeroed = False  # the controller has accepted a record that asked for it, and its counter is 0
+        self._unmatched = 0  # frames in a row whose latch never came
         self._late_cycles = 0
         self._exchanges = 0
 
@@ -63,7 +65,7 @@ class AxesLink:
 
     def _down(self, reason: str) -> None:
         self._axes.link_lost(reason)
-        self._latched = self._report = None
+        self._latched = None
         self._tell()
 
     async def latched_at(self, frame: Frame) -> AxisAngles | NoAngle:
@@ -73,20 +75,23 @@ class AxesLink:
                 return NoAngle("no link to the controller")
             angles = self._latched.match(frame, self._clock.now())
             if not isinstance(angles, Waiting):
+                self._unmatched = 0
                 return angles
             if cycle < LATCH_CYCLES:
                 await self._next_report()
+        self._out_of_step()
         return NoAngle(f"its latch did not come within {LATCH_CYCLES} bus cycles")
 
     async def zero_latch(self) -> None:
-        """Makes the next exposure's latch number 0; the camera is stopped. Without latches there is nothing to do."""
-        if self._latched is None or self._report is None:
+        """Makes the next exposure's latch number 0; the camera is stopped. Without a link there is nothing to do: the next one
+        begins an epoch of its own."""
+        if self._latched is None:
             return
-        self._zeroing = True
+        self._zeroing, self._zeroed = True, False
         try:
             for _ in range(ZERO_CYCLES):
                 await self._next_report()
-                if self._report is None or self._report.latch_total == 0:
+                if self._zeroed or self._latched is None:
                     break
             else:
                 raise DeviceTimeout(f"gimbal {self.name}", "set the latch counter to zero", f"not done in {ZERO_CYCLES} cycles")
@@ -94,6 +99,7 @@ class AxesLink:
             self._zeroing = False
         if self._latched is not None:
             self._latched.renumbered()
+        self._unmatched = 0
 
     def seen(self, step: Step) -> None:
         self._axes.seen(step)
@@ -125,7 +131,10 @@ class AxesLink:
         assert self._latched is not None
         now = self._clock.now()
         command = self._axes.command(now, self._latched.controller_time(now))
-        self._report = report = await gimbal.exchange(replace(command, latch_zero=True) if self._zeroing else command)
+        if self._zeroing:
+            command = replace(command, latch_zero=True)
+        report = await gimbal.exchange(command)
+        self._zeroed = command.latch_zero and report.echo == command.sequence and report.latch_total == 0
         self._exchanges += 1
         if self._latched.reported(report):
             log.warning("the controller of %s has restarted", self.name)
@@ -133,6 +142,14 @@ class AxesLink:
             self.epoch += 1
         self._axes.reported(report)
         self._tell()
+
+    def _out_of_step(self) -> None:
+        """Latches come, but never the one that is asked for: frames and latches have to be numbered anew."""
+        self._unmatched += 1
+        if self._unmatched >= OUT_OF_STEP_FRAMES:
+            log.warning("frames and latches of %s are out of step: both are numbered anew", self.name)
+            self._unmatched = 0
+            self.epoch += 1
 
     async def _farewell(self, gimbal: Gimbal) -> None:
         """Held, not disabled: an EL axis that carries an eccentric camera falls when it is disabled."""

@@ -4,14 +4,16 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import Any
 
+from trackerd.contract.clock import HostNs
 from trackerd.engine.fuse import Fuser
 from trackerd.formats.calibration import Calibration
+from trackerd.formats.wire import plain
 from trackerd.service.cell_service import StationParts
 from trackerd.service.fusion_task import FusionTask
 from trackerd.service.outlet import Outlet
-from trackerd.service.vital_signs import Vitals, VitalSigns
+from trackerd.service.vital_signs import VitalSigns
 
-LOOK_NS = 1_000_000_000  # the daemon's health is looked at once a second
+LOOK_NS = 1_000_000_000  # percentiles and the daemon's health are looked at once a second
 
 
 @dataclass(frozen=True, slots=True)
@@ -23,13 +25,22 @@ class Watched:
     vitals: VitalSigns
 
 
+@dataclass(frozen=True, slots=True)
+class Slow:
+    """What costs too much to be looked at ten times a second; plain values already."""
+
+    looked: HostNs
+    vitals: Any
+    stages: dict[str, Any]
+    latency: Any
+
+
 class CellStatus:
     def __init__(self, cell: str, version: str, calibration: Calibration, twin: Mapping[str, Any] | None) -> None:
         """`twin`: where a simulated cell is on the wire, as it announced itself."""
         self._head = {"cell": cell, "version": version, "calibration_id": calibration.id, "twin": twin}
         self._watched: Watched | None = None
-        self._vitals: Vitals | None = None
-        self._looked = 0
+        self._slow: Slow | None = None
 
     def watch(
         self, stations: dict[str, StationParts], fusion: FusionTask, fuser: Fuser, outlet: Outlet, vitals: VitalSigns
@@ -40,17 +51,22 @@ class CellStatus:
         w = self._watched
         if w is None:
             return dict(self._head)
-        now = w.outlet.clock.now()
-        if now - self._looked > LOOK_NS or self._vitals is None:
-            self._vitals, self._looked = w.vitals.look(), now
+        slow = self._slow
+        if slow is None or w.outlet.clock.now() - slow.looked > LOOK_NS:
+            self._slow = slow = _look(w)
         return {
             **self._head,
-            "stations": {name: _station(part) for name, part in w.stations.items()},
+            "stations": {name: _station(part) | {"stages": slow.stages[name]} for name, part in w.stations.items()},
             "fusion": {"dropped": w.fusion.dropped, **asdict(w.fuser.statistics())},
-            "published": {"fixes": w.outlet.fixes, "valid": w.outlet.valid_fixes, "latency": w.outlet.published.percentiles()},
+            "published": {"fixes": w.outlet.fixes, "valid": w.outlet.valid_fixes, "latency": slow.latency},
             "other_publishers": sorted(w.outlet.link.others),
-            "daemon": self._vitals,
+            "daemon": slow.vitals,
         }
+
+
+def _look(w: Watched) -> Slow:
+    stages = {name: plain(part.task.stages.percentiles()) for name, part in w.stations.items()}
+    return Slow(w.outlet.clock.now(), plain(w.vitals.look()), stages, plain(w.outlet.published.percentiles()))
 
 
 def _station(part: StationParts) -> dict[str, Any]:
@@ -70,5 +86,4 @@ def _station(part: StationParts) -> dict[str, Any]:
         "axes": part.link.snapshot(),
         "track": {"state": part.task.state.value, "why": "" if last is None else last.why},
         "frames": part.task.counts,
-        "stages": part.task.stages.percentiles(),
     }

@@ -5,7 +5,7 @@ from math import hypot
 
 from trackerd.contract.model import Found, Image, Missed, Outline
 from trackerd.formats.settings import TrackingSettings
-from trackerd.vision.locate import locate, search
+from trackerd.vision.locate import locate, refine, search
 from trackerd.vision.noise import NoiseModel
 from trackerd.vision.rays import REACH_PX, Circle
 from trackerd.vision.tracker import BoxTracker
@@ -50,6 +50,10 @@ class Acquisition:
 
     def near(self, image: Image, frame_id: int, expected: Expected) -> Outline:
         """The ball that is followed, by prediction, tracker or search, whichever is the first to have a plausible outline."""
+        if expected.missed == 0:  # the prediction of a ball that was seen a frame ago is good to a pixel or so
+            at_once = self._plausible(refine(image, expected.circle, self._noise), expected)
+            if isinstance(at_once, Found):
+                return at_once
         first = self._at(image, expected.circle, expected)
         if isinstance(first, Found):
             return first
@@ -69,7 +73,9 @@ class Acquisition:
         self._box.forget()
 
     def _at(self, image: Image, circle: Circle, expected: Expected) -> Outline:
-        outline = locate(image, circle, self._noise, expected.reach_px)
+        return self._plausible(locate(image, circle, self._noise, expected.reach_px), expected)
+
+    def _plausible(self, outline: Outline, expected: Expected) -> Outline:
         if isinstance(outline, Missed):
             return outline
         smallest, largest = self._radius_px

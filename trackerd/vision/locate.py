@@ -30,6 +30,13 @@ def locate(image: Image, guess: Circle | None, noise: NoiseModel = NoiseModel(),
     return Missed(refusal) if refusal else _outline(image, guess, noise, LEAST_COVERAGE, reach_px)
 
 
+def refine(image: Image, guess: Circle, noise: NoiseModel) -> Outline:
+    """As `locate`, for a guess that is a prediction good to about 1.5 px: the fit alone, without looking around first."""
+    check_image(image)
+    refusal = _refusal(image, guess)
+    return Missed(refusal) if refusal else _fitted(image, guess, noise, LEAST_COVERAGE)
+
+
 def search(
     image: Image,
     noise: NoiseModel,
@@ -69,7 +76,11 @@ def _outline(image: Image, guess: Circle, noise: NoiseModel, least_coverage: flo
     first = first_circle(image, guess, noise, reach_px)
     if first is None:
         return Missed("no circle of edges near the guess")
-    fit = fit_circle(image, first, noise)
+    return _fitted(image, first, noise, least_coverage)
+
+
+def _fitted(image: Image, start: Circle, noise: NoiseModel, least_coverage: float) -> Outline:
+    fit = fit_circle(image, start, noise)
     if fit is None:
         return Missed("the edges near the guess are no outline")
     return verified(fit, noise, least_coverage)

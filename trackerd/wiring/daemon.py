@@ -4,6 +4,7 @@ import asyncio
 import gc
 import logging
 import signal
+import sys
 from collections.abc import AsyncIterator, Callable, Sequence
 from contextlib import AbstractAsyncContextManager, AsyncExitStack, asynccontextmanager, suppress
 from dataclasses import replace
@@ -36,10 +37,14 @@ from trackerd.service.zenoh_link import ZenohLink, open_link
 from trackerd.wiring.cell import driver, source_of
 
 log = logging.getLogger("trackerd")
+SWITCH_S = (
+    0.0005  # the loop waits no longer than this for a worker that holds the interpreter; 5 ms, the default, is a bus cycle
+)
 
 
 async def serve(cell: CellConfig, overrides: Sequence[str], duration_s: float | None) -> None:
     """Runs the cell until SIGTERM, SIGINT, the end of a recording, or for `duration_s` after READY."""
+    sys.setswitchinterval(SWITCH_S)
     cv2.setNumThreads(1)  # one worker a station is the parallelism; OpenCV's own threads only fight over two cores
     told = None
     async with AsyncExitStack() as stack:
