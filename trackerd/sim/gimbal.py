@@ -49,7 +49,7 @@ class SimGimbal:
         return self.az.rate(t_ns), self.el.rate(t_ns)
 
     def encoder(self, t_ns: int, look_ns: int | None = None) -> tuple[float, float]:
-        """What the controller reads at an instant, (az, el) in rad. Readings of one look share their noise (default: none do)."""
+        """What the controller reads at an instant, (az, el) in rad. Readings of one look share their noise."""
         look_ns = t_ns if look_ns is None else look_ns
         return self._az_encoder.read(self.az.angle(t_ns), look_ns), self._el_encoder.read(self.el.angle(t_ns), look_ns)
 
