@@ -15,7 +15,7 @@ from trackerd.engine.track import Step
 from trackerd.estimate.clockfit import FitStatistics
 from trackerd.estimate.latching import Waiting
 from trackerd.formats.settings import GimbalSettings
-from trackerd.service.cancellation import end_if_cancelled
+from trackerd.service.cancellation import end_if_cancelled, is_cancelled
 from trackerd.service.pacer import ticks
 
 log = logging.getLogger("trackerd.axes")
@@ -60,6 +60,8 @@ class AxesLink:
             self._down("closed")
             raise
         except Exception as error:
+            if is_cancelled() or not isinstance(error, DeviceError):  # the link still works
+                await self._farewell(gimbal)
             self._down(str(error))
             raise
 
