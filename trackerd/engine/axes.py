@@ -70,6 +70,7 @@ class Axes:
         self._report: GimbalReport | None = None
         self._test: AxisTest | None = None
         self._tested = False
+        self._proved = ("", ControllerUs(0))  # serial and last instant of the controller that was tested
         self._unclear = 0
         self._disabled = 0
         self._set_point: SetPoint | None = None
@@ -97,16 +98,17 @@ class Axes:
         self._limiter, self._test_limiter = _limiters(_within(self._steering, info))
 
     def link_lost(self, reason: str) -> None:
-        """No status any more: the controller's watchdog holds the axes. Arming starts anew; so does the test."""
-        self.restarted(reason)
+        """No status any more: the controller's watchdog holds the axes. What the test has proved stays proved, as long as it
+        is the same controller that answers again, and it has not restarted."""
+        if self._info is not None and self._report is not None:
+            self._proved = (self._info.serial, self._report.instant)
+        self._disarm(reason)
         self._report, self._info, self._state = None, None, AxesState.OFFLINE
 
     def restarted(self, reason: str) -> None:
         """The controller is not the one that was armed and tested."""
         self._tested = False
-        if self._armed and (not self._automatic or self._safety_fault()):
-            self._armed, reason = False, f"{reason}; not armed"
-        self._stop(reason if self._armed else self._reason or reason)
+        self._disarm(reason)
 
     # ---- every status record -----------------------------------------------------------------------------------------
 
@@ -114,6 +116,8 @@ class Axes:
         self._report = report
         if self._state is AxesState.OFFLINE:
             self._state = AxesState.HELD if self._steerable else AxesState.FIXED
+            if self._info is not None and (self._info.serial != self._proved[0] or report.instant < self._proved[1]):
+                self._tested = False
         if self._safety_fault() and self._armed:
             self.hold(f"safety input (fault 0x{report.fault:04x}): arm again once it is cleared")
         if self._state in (AxesState.TESTING, AxesState.FOLLOWING):
@@ -198,6 +202,12 @@ class Axes:
 
     def _safety_fault(self) -> bool:
         return self._report is not None and self._report.fault & FAULT_CLASS == SAFETY_FAULT
+
+    def _disarm(self, reason: str) -> None:
+        """Stop; an operator has to arm again, unless that is automatic and no safety input was tripped."""
+        if self._armed and (not self._automatic or self._safety_fault()):
+            self._armed, reason = False, f"{reason}; not armed"
+        self._stop(reason if self._armed else self._reason or reason)
 
     def _stop(self, reason: str) -> None:
         self._reason, self._test, self._set_point = reason, None, None

@@ -40,9 +40,14 @@ class Outlet:
         self.valid_fixes += message["valid"]
         if message["position_mm"] is not None:
             self.published.add(self.clock.now() - fix.received)
-        if fix.state is not self._state:
-            log.info("fix %s%s", fix.state.value, f" ({'; '.join(fix.reasons)})" if fix.reasons else "")
-            self._state = fix.state
+        self._tell_change(fix)
+
+    def _tell_change(self, fix: Fix) -> None:
+        """A frame that comes late is bridged by an extrapolated fix: no news."""
+        if fix.state is self._state or fix.state is FixState.COASTING:
+            return
+        log.info("fix %s%s", fix.state.value, f" ({'; '.join(fix.reasons)})" if fix.reasons else "")
+        self._state = fix.state
 
     def status(self) -> None:
         self.link.put_status(wire.encode(self.answer_status({})))
