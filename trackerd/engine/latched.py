@@ -1,14 +1,16 @@
 """The angles of a frame: latches matched by index and checked by time, in the host's time. Synchronous; time is passed in."""
 
 from dataclasses import dataclass
+from itertools import takewhile
 from math import hypot
 from typing import Protocol
 
 from trackerd.contract.clock import ClockKind, ControllerUs, HostNs
-from trackerd.contract.model import AxisAngles, Frame, GimbalInfo, GimbalReport, NoAngle
+from trackerd.contract.model import AxisAngles, Frame, GimbalInfo, GimbalReport, Latch, NoAngle
 from trackerd.estimate.clockfit import ClockFit, FitStatistics
 from trackerd.estimate.latching import LatchMatcher, Match, Waiting
 
+REMEMBERED = 32  # edges: 16 exposures, 0.3 s at 55 fps
 STILL_CYCLES = 3  # a status_seq that stands still for so many exchanges is a dead controller behind a live bus
 
 
@@ -47,6 +49,7 @@ class LatchedAngles:
         self._report: GimbalReport | None = None
         self._changed: HostNs | None = None
         self._still = 0  # exchanges in a row without a new status
+        self._latches: tuple[Latch, ...] = ()  # newest first; the controller's own ring is too short for a frame that is late
 
     def reported(self, report: GimbalReport) -> bool:
         """Takes a status record. True: the controller has restarted, frames and latches must be numbered anew."""
@@ -58,7 +61,8 @@ class LatchedAngles:
         restarted = last is not None and report.instant < last.instant
         if restarted:
             self._fit.reset()
-            self._matcher.reset()
+            self.renumbered()
+        self._remember(report.latches)
         if self._info.clock is ClockKind.DEVICE:
             self._fit.add(report.instant * 1000, HostNs(report.sent - self._info.snapshot_ns), report.received)
         return restarted
@@ -66,6 +70,7 @@ class LatchedAngles:
     def renumbered(self) -> None:
         """Latches and frames both begin at 0 again."""
         self._matcher.reset()
+        self._latches = ()
 
     def stale(self, now: HostNs) -> str:
         """Why the controller's status is not to be trusted, or nothing."""
@@ -83,7 +88,7 @@ class LatchedAngles:
             return NoAngle(reason)
         if self._info.edges == 0:
             return self._angles(report.az_rad, report.el_rad, None, 0.0, "fixed")
-        found = self._matcher.match(frame.frame_id, frame.mid_exposure, report.latches)
+        found = self._matcher.match(frame.frame_id, frame.mid_exposure, self._latches)
         if not isinstance(found, Match):
             return found
         if self._info.clock is ClockKind.RECORDING:
@@ -93,6 +98,16 @@ class LatchedAngles:
         if instant is None:
             return NoAngle("the controller's clock is not known yet")
         return self._angles(found.az_rad, found.el_rad, *instant, "latch")
+
+    def _remember(self, latches: tuple[Latch, ...]) -> None:
+        """The same tuple as long as nothing new is in it: the matcher indexes it once."""
+        if self._info.edges == 1 or not self._latches:
+            self._latches = latches
+            return
+        newest = self._latches[0]
+        new = tuple(takewhile(lambda latch: latch != newest, latches))
+        if new:
+            self._latches = (new + self._latches)[:REMEMBERED]
 
     def controller_time(self, now: HostNs) -> ControllerUs | None:
         """What the controller's clock shows now."""
