@@ -123,7 +123,7 @@ class Controller:
 
     @property
     def comm_lost(self) -> bool:
-        return self._lost_ns is not None
+        return self.lost_ns is not None
 
     # ---- faults on request -------------------------------------------------------------------------------------------
 
@@ -152,7 +152,7 @@ class Controller:
         self.watchdog_ns = WATCHDOG_DEFAULT_MS * MS
         self._control = 0
         self._released = False  # an enable of 0 was seen since the last reason to want one
-        self._lost_ns: int | None = None
+        self.lost_ns: int | None = None  # since when nobody commands
         self._target: SetPoints | None = None  # what is followed
         self._turning = False  # velocity mode
         self.axes.hold(self.now_ns)
@@ -181,7 +181,7 @@ class Controller:
         if not wanted:
             self.enabled, self._released = False, True
         elif self._released and not self.fault:
-            self.enabled, self._lost_ns = True, None
+            self.enabled, self.lost_ns = True, None
 
     def _may_follow(self, control: int) -> bool:
         asked = bool(control & gm.FOLLOW) and not control & gm.HALT
@@ -226,7 +226,7 @@ class Controller:
 
     def _lose(self) -> None:
         if not self.comm_lost:
-            self._lost_ns, self._released = self.now_ns, False
+            self.lost_ns, self._released = self.now_ns, False
         self._hold()
 
     def _raise_fault(self, fault: int) -> None:
@@ -237,7 +237,7 @@ class Controller:
         return None if self.heard_ns is None or self.comm_lost else self.heard_ns + self.watchdog_ns
 
     def _brake_due(self) -> int | None:
-        return self._lost_ns + BRAKE_NS if self._lost_ns is not None and self.enabled else None
+        return self.lost_ns + BRAKE_NS if self.lost_ns is not None and self.enabled else None
 
     def _timers(self) -> None:
         due = self._watchdog_due()

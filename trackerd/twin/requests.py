@@ -89,6 +89,7 @@ def _gimbal_status(gimbal: TwinGimbal, now: int) -> dict[str, Any]:
         "enabled": controller.enabled,
         "following": controller.following,
         "comm_lost": controller.comm_lost,
+        "comm_lost_ns": controller.lost_ns,
         "fault": controller.fault,
         "trips_ns": list(controller.trips),
         "last_command_ns": controller.heard_ns,
