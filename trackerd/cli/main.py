@@ -1,7 +1,6 @@
 """`trackerd`: what a person types."""
 
 import argparse
-import logging
 import os
 import sys
 from collections.abc import Callable, Iterator, Sequence
@@ -214,28 +213,3 @@ def _number(text: str) -> float:
         return float(text)
     except ValueError:
         return nan
-
-
-def set_up_log(level: str, form: str) -> None:
-    """To standard error; journald adds its own time."""
-    handler = logging.StreamHandler()
-    handler.setFormatter(JsonFormatter() if form == "json" else logging.Formatter("%(asctime)s %(levelname)-7s %(message)s"))
-    logging.basicConfig(level=level.upper(), handlers=[handler], force=True)
-    logging.getLogger("pymodbus").setLevel(logging.CRITICAL)  # its errors come back as results, and are told by the driver
-
-
-class JsonFormatter(logging.Formatter):
-    """One object a line: time, level, logger, message, and the exception where there is one."""
-
-    def format(self, record: logging.LogRecord) -> str:
-        import json
-
-        line = {
-            "time": record.created,
-            "level": record.levelname.lower(),
-            "logger": record.name,
-            "message": record.getMessage(),
-        }
-        if record.exc_info:
-            line["exception"] = self.formatException(record.exc_info)
-        return json.dumps(line)

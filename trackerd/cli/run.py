@@ -7,7 +7,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from trackerd.cli.main import set_up_log
+from trackerd.cli.log import set_up_log
 from trackerd.contract.errors import ConfigError
 from trackerd.formats.config import CellConfig
 from trackerd.wiring.cell import load
