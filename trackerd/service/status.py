@@ -6,6 +6,7 @@ from typing import Any
 
 from trackerd.contract.clock import HostNs
 from trackerd.engine.fuse import Fuser
+from trackerd.engine.latched import RecordingTime
 from trackerd.formats.calibration import Calibration
 from trackerd.formats.wire import plain
 from trackerd.service.cell_service import StationParts
@@ -23,6 +24,13 @@ class Watched:
     fuser: Fuser
     outlet: Outlet
     vitals: VitalSigns
+    recording: RecordingTime
+
+    @property
+    def recording_offset_ns(self) -> int | None:
+        """Unix time minus recorded time of everything that is played; None where nothing is."""
+        offset = self.recording.offset_ns
+        return None if offset is None else self.outlet.clock.unix(HostNs(offset))
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,10 +50,8 @@ class CellStatus:
         self._watched: Watched | None = None
         self._slow: Slow | None = None
 
-    def watch(
-        self, stations: dict[str, StationParts], fusion: FusionTask, fuser: Fuser, outlet: Outlet, vitals: VitalSigns
-    ) -> None:
-        self._watched = Watched(stations, fusion, fuser, outlet, vitals)
+    def watch(self, watched: Watched) -> None:
+        self._watched = watched
 
     def gather(self) -> dict[str, Any]:
         w = self._watched
@@ -59,6 +65,7 @@ class CellStatus:
             "stations": {name: _station(part) | {"stages": slow.stages[name]} for name, part in w.stations.items()},
             "fusion": {"dropped": w.fusion.dropped, **asdict(w.fuser.statistics())},
             "published": {"fixes": w.outlet.fixes, "valid": w.outlet.valid_fixes, "latency": slow.latency},
+            "recording_offset_ns": w.recording_offset_ns,
             "other_publishers": sorted(w.outlet.link.others),
             "daemon": slow.vitals,
         }

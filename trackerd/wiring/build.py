@@ -23,7 +23,7 @@ from trackerd.service.fusion_task import FusionTask
 from trackerd.service.notify import Notifier
 from trackerd.service.outlet import Outlet
 from trackerd.service.station_task import StationTask
-from trackerd.service.status import CellStatus
+from trackerd.service.status import CellStatus, Watched
 from trackerd.service.supervisor import Device
 from trackerd.service.vital_signs import VitalSigns
 from trackerd.service.zenoh_link import ZenohLink
@@ -51,7 +51,7 @@ def build(cell: CellConfig, source: Source, link: ZenohLink, clock: Clock, told:
         name: _station(name, cell, calibration, recording, clock, fusion, source is Source.TWIN) for name in cell.gimbals
     }
     vitals = VitalSigns(Notifier.from_environment(), lambda: fusion.ticks)
-    status.watch(stations, fusion, fuser, outlet, vitals)
+    status.watch(Watched(stations, fusion, fuser, outlet, vitals, recording))
     Commands(stations, outlet).serve(link)
     return CellService(stations, fusion, outlet, vitals, cell.service.restart_s, cell.service.status_hz)
 
