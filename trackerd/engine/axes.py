@@ -8,30 +8,23 @@ from dataclasses import dataclass
 from enum import StrEnum
 from math import degrees, hypot
 
-import numpy as np
-
 from trackerd.contract.clock import ControllerUs, HostNs
-from trackerd.contract.model import (
-    AxisCommand,
-    AxisMode,
-    Found,
-    GimbalFlag,
-    GimbalInfo,
-    GimbalReport,
-    TrackState,
-)
-from trackerd.engine.axis_test import AxisTest, Verdict
+from trackerd.contract.model import AxisCommand, AxisMode, GimbalFlag, GimbalInfo, GimbalReport, TrackState
+from trackerd.engine.axis_test import Verdict
 from trackerd.engine.divergence import DivergenceWatch
+from trackerd.engine.enabling import Enabling, is_enabled
+from trackerd.engine.proof import Proof
 from trackerd.engine.track import Step
 from trackerd.formats.settings import SteeringSettings
 from trackerd.steering.follow import SetPoint
-from trackerd.steering.limits import SetPointLimiter
+from trackerd.steering.limits import Point, SetPointLimiter, within
 
 SAFETY_FAULT = 0x0500
 FAULT_CLASS = 0xFF00
 SET_POINT_LIFE_NS = 100_000_000  # a set-point older than this is followed no longer: the axes ramp to rest
-DISABLED_CYCLES = 2  # 'enable 0' is sent at least this often before 'enable 1'
-UNCLEAR_TESTS = 20  # attempts, while the target keeps moving, before a person is asked
+FRAME_LIFE_NS = 500_000_000  # what a frame older than this has shown is no reason to begin, or to go on with the test
+CLOCK_RAN_ON_US = 100_000  # behind the host by no more than this, and 1 %: it has not restarted in between
+MOST_FAULTS = 5  # that are reset without a person, from one arming to the next
 
 
 class AxesState(StrEnum):
@@ -41,6 +34,9 @@ class AxesState(StrEnum):
     ENABLING = "enabling"
     TESTING = "testing"
     FOLLOWING = "following"
+
+
+MOVING = (AxesState.TESTING, AxesState.FOLLOWING)
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,17 +58,16 @@ class Axes:
         self._steering = steering
         self._automatic = automatic
         self._info: GimbalInfo | None = None
-        self._limiter, self._test_limiter = _limiters(steering)
+        self._limiter = SetPointLimiter(steering)
         self._armed = automatic
+        self._faults = 0
         self._state = AxesState.OFFLINE
         self._reason = "" if automatic else "not armed"
         self._sequence = 0
         self._report: GimbalReport | None = None
-        self._test: AxisTest | None = None
-        self._tested = False
-        self._proved = ("", ControllerUs(0))  # serial and last instant of the controller that was tested
-        self._unclear = 0
-        self._disabled = 0
+        self._enabling = Enabling()
+        self._proof = Proof(steering)
+        self._proved: tuple[str, GimbalReport] | None = None  # serial and last word of a controller that went away
         self._set_point: SetPoint | None = None
         self._commanded: HostNs | None = None
         self._step: Step | None = None
@@ -81,10 +76,12 @@ class Axes:
     # ---- what people and the supervisor say --------------------------------------------------------------------------
 
     def arm(self) -> str:
-        """An operator's word. The answer says what is still missing."""
+        """An operator's word, which also has a fault reset. The answer says what is still missing."""
         if self._info is not None and not self._info.steerable:
             return "nothing to arm: this gimbal is not steered"
-        self._armed, self._unclear, self._reason = True, 0, ""
+        self._armed, self._faults, self._reason = True, 0, ""
+        if self._state not in MOVING:
+            self._proof.renew()
         return self._missing() or "armed"
 
     def hold(self, reason: str) -> None:
@@ -95,78 +92,83 @@ class Axes:
     def connected(self, info: GimbalInfo) -> None:
         """A link is up. Set-points keep inside the controller's travel as well as the configured one."""
         self._info = info
-        self._limiter, self._test_limiter = _limiters(_within(self._steering, info))
+        steering = within(self._steering, info)
+        self._limiter = SetPointLimiter(steering)
+        self._proof.limit(steering)
 
     def link_lost(self, reason: str) -> None:
         """No status any more: the controller's watchdog holds the axes. What the test has proved stays proved, as long as it
         is the same controller that answers again, and it has not restarted."""
         if self._info is not None and self._report is not None:
-            self._proved = (self._info.serial, self._report.instant)
+            self._proved = (self._info.serial, self._report)
         self._disarm(reason)
         self._report, self._info, self._state = None, None, AxesState.OFFLINE
 
     def restarted(self, reason: str) -> None:
         """The controller is not the one that was armed and tested."""
-        self._tested = False
+        self._proof.forget()
         self._disarm(reason)
 
     # ---- every status record -----------------------------------------------------------------------------------------
 
     def reported(self, report: GimbalReport) -> None:
-        self._report = report
+        before, self._report = self._report, report
         if self._state is AxesState.OFFLINE:
             self._state = AxesState.HELD if self._steerable else AxesState.FIXED
-            if self._info is not None and (self._info.serial != self._proved[0] or report.instant < self._proved[1]):
-                self._tested = False
-        if self._safety_fault() and self._armed:
+            if not self._same_as_before(report):
+                self._proof.forget()
+        if not self._armed:
+            return
+        if _safety(report) and not (before is not None and _safety(before)):
             self.hold(f"safety input (fault 0x{report.fault:04x}): arm again once it is cleared")
-        if self._state in (AxesState.TESTING, AxesState.FOLLOWING):
-            trouble = self._trouble(report)
-            if trouble and self._automatic:
-                self._stop(trouble)
-            elif trouble:
-                self.hold(f"{trouble}; not armed")
+        elif self._state in MOVING:
+            self._lose(_trouble(report))
+        elif not self._automatic and before is not None:
+            self._lose(_news(before, report))
 
     # ---- every frame -------------------------------------------------------------------------------------------------
 
     def seen(self, step: Step) -> None:
         self._step = step
         if self._state is AxesState.TESTING:
-            self._try_axes(step)
+            self._judge(self._proof.seen(step))
         elif self._state is AxesState.FOLLOWING:
             self._set_point = step.set_point or self._set_point
-            if self._divergence.diverges(step):
-                self.hold("loop diverges: the pixel error grows although the axes move against it")
+            diverges = self._divergence.diverges(step)
+            if diverges:
+                self._proof.forget()
+                self.hold(f"loop diverges: {diverges}")
 
     # ---- every bus cycle ---------------------------------------------------------------------------------------------
 
     def command(self, now: HostNs, controller_now: ControllerUs | None) -> AxisCommand:
         dt_s = 0.0 if self._commanded is None else (now - self._commanded) * 1e-9
         self._commanded = now
-        self._sequence = self._sequence % 0xFFFF + 1
         report = self._report
-        if report is None or not self._steerable:
-            return AxisCommand(self._sequence, watchdog_ms=self._steering.watchdog_ms)
-        if self._state is AxesState.HELD and not self._missing():
-            self._state, self._disabled = AxesState.ENABLING, 0
-        if self._state is AxesState.ENABLING:
-            return self._enable(report)
-        if self._state is AxesState.TESTING and self._test is not None:
-            return self._follow(self._test_limiter, (*self._test.target, 0.0, 0.0), dt_s, controller_now)
+        if report is None:
+            return AxisCommand(0)  # listen first: any command would enable or disable axes whose state is not known
+        self._sequence = self._sequence % 0xFFFF + 1
+        self._proceed(report)
+        if self._state is AxesState.TESTING:
+            return self._position(self._proof.set_point(dt_s), controller_now)
         if self._state is AxesState.FOLLOWING:
-            return self._follow_target(now, dt_s, controller_now)
-        return self._hold_command(report)
+            return self._position(self._next_point(now, dt_s), controller_now)
+        if self._state is AxesState.ENABLING:
+            wish = self._enabling.wish(report)
+            return self._still(wish.enable, wish.reset_fault)
+        return self._still(enable=bool(report.flags & GimbalFlag.ENABLED))
 
     def snapshot(self) -> AxesSnapshot:
         report, step = self._report, self._step
+        held = self._missing() if self._state is AxesState.HELD else ""
         return AxesSnapshot(
             state=self._state,
-            reason=self._reason or (self._missing() if self._state is AxesState.HELD else ""),
+            reason="" if self._state is AxesState.FIXED else self._reason or held,
             armed=self._armed,
-            tested=self._tested,
+            tested=self._proof.passed,
             fault=0 if report is None else report.fault,
-            az_deg=None if report is None else float(np.degrees(report.az_rad)),
-            el_deg=None if report is None else float(np.degrees(report.el_rad)),
+            az_deg=None if report is None else degrees(report.az_rad),
+            el_deg=None if report is None else degrees(report.el_rad),
             offset_px=None if step is None or step.offset_px is None else hypot(*step.offset_px),
         )
 
@@ -176,125 +178,99 @@ class Axes:
     def _steerable(self) -> bool:
         return self._info is not None and self._info.steerable
 
+    def _same_as_before(self, report: GimbalReport) -> bool:
+        """The controller that the link was lost to, with a clock that has run on."""
+        if self._proved is None or self._info is None or self._proved[0] != self._info.serial:
+            return False
+        last = self._proved[1]
+        elapsed_us = (report.received - last.received) // 1000
+        return report.instant - last.instant > 0.99 * elapsed_us - CLOCK_RAN_ON_US
+
     def _missing(self) -> str:
         """What keeps the axes from following, in words; empty: nothing."""
-        if self._report is None:
+        report, step = self._report, self._step
+        if report is None:
             return "no status from the controller"
         if not self._armed:
             return self._reason or "not armed"
-        if not self._report.flags & GimbalFlag.READY:
+        if not report.flags & GimbalFlag.READY and not report.fault:
             return "the controller is not ready"
-        if not self._report.flags & GimbalFlag.HOMED:
+        if not report.flags & GimbalFlag.HOMED:
             return "the axes are not referenced"
-        if self._step is None or self._step.state is not TrackState.LOCKED or self._step.angles is None:
+        if step is None or step.state is not TrackState.LOCKED or not self._is_fresh(step):
             return "waiting for the target"
-        return ""
+        return "" if step.angles is not None else f"waiting for angles: {step.why}"
 
-    @staticmethod
-    def _trouble(report: GimbalReport) -> str:
-        if report.fault:
-            return f"controller fault 0x{report.fault:04x}"
-        if report.flags & GimbalFlag.COMM_LOST:
-            return "the controller's watchdog took over (comm lost)"
-        if not report.flags & GimbalFlag.ENABLED:
-            return "the controller disabled the axes"
-        return ""
-
-    def _safety_fault(self) -> bool:
-        return self._report is not None and self._report.fault & FAULT_CLASS == SAFETY_FAULT
+    def _is_fresh(self, step: Step) -> bool:
+        return self._commanded is not None and self._commanded - step.instant <= FRAME_LIFE_NS
 
     def _disarm(self, reason: str) -> None:
         """Stop; an operator has to arm again, unless that is automatic and no safety input was tripped."""
-        if self._armed and (not self._automatic or self._safety_fault()):
-            self._armed, reason = False, f"{reason}; not armed"
-        self._stop(reason if self._armed else self._reason or reason)
+        if self._armed and (not self._automatic or (self._report is not None and _safety(self._report))):
+            self.hold(f"{reason}; not armed")
+        else:
+            self._stop(reason if self._armed else self._reason or reason)
+
+    def _lose(self, trouble: str) -> None:
+        """Stop for a trouble of the controller's, if there is one."""
+        if not trouble:
+            return
+        self._faults += self._report is not None and self._report.fault != 0
+        if not self._automatic:
+            self.hold(f"{trouble}; not armed")
+        elif self._faults >= MOST_FAULTS:
+            self.hold(f"{trouble}, {self._faults} faults since it was armed; not armed")
+        else:
+            self._stop(trouble)
 
     def _stop(self, reason: str) -> None:
-        self._reason, self._test, self._set_point = reason, None, None
+        self._reason, self._set_point = reason, None
         self._divergence.reset()
         if self._steerable:
             self._state = AxesState.HELD
 
-    def _hold_command(self, report: GimbalReport) -> AxisCommand:
-        """Heartbeat and hold. The drive stays as it is: enabling and disabling are moves (a brake, a falling EL axis)."""
-        return AxisCommand(
-            self._sequence, enable=bool(report.flags & GimbalFlag.ENABLED), watchdog_ms=self._steering.watchdog_ms
-        )
-
-    def _enable(self, report: GimbalReport) -> AxisCommand:
-        """Enable, by the rules: out of 'comm lost' only by enable 0 then 1, and 0 only once the controller itself has
-        disabled and braked; a fault (not of a safety input) is reset on the way."""
-        enabled = bool(report.flags & GimbalFlag.ENABLED)
-        lost = bool(report.flags & GimbalFlag.COMM_LOST)
-        if enabled and not lost and not report.fault:
-            self._begin(report)
-            return self._hold_command(report)
-        if enabled and lost:
-            return self._hold_command(report)
-        if self._disabled < DISABLED_CYCLES:
-            self._disabled += 1
-            return AxisCommand(self._sequence, reset_fault=report.fault != 0, watchdog_ms=self._steering.watchdog_ms)
-        if lost or report.fault:
-            self._disabled += 1
-            if self._disabled > 10 * DISABLED_CYCLES:
-                self._disabled = 0
-        return AxisCommand(self._sequence, enable=True, watchdog_ms=self._steering.watchdog_ms)
+    def _proceed(self, report: GimbalReport) -> None:
+        """From held to following, as far as nothing is missing."""
+        if self._state is AxesState.HELD and self._steerable and not self._missing():
+            self._state, self._enabling = AxesState.ENABLING, Enabling()
+        if self._state is AxesState.ENABLING:
+            if is_enabled(report):
+                self._begin(report)
+            elif self._enabling.hopeless(report):
+                self.hold(f"controller fault 0x{report.fault:04x} does not clear: arm again once its cause is gone")
+        elif self._state is AxesState.TESTING and self._step is not None and not self._is_fresh(self._step):
+            self._judge(self._proof.spoilt("no frames came"))
 
     def _begin(self, report: GimbalReport) -> None:
-        self._reason = ""
-        if self._tested:
-            self._state = AxesState.FOLLOWING
+        if self._proof.passed:
+            self._state, self._reason = AxesState.FOLLOWING, ""
             self._limiter.reset(report.az_rad, report.el_rad, 0.0, 0.0)
         else:
-            self._state = AxesState.TESTING
-            self._begin_test(report)
+            self._state, self._reason = AxesState.TESTING, self._proof.reason
+            self._proof.begin(report)
 
-    def _begin_test(self, report: GimbalReport) -> None:
-        self._test = AxisTest(np.array((report.az_rad, report.el_rad)), self._steering)
-        self._test_limiter.reset(report.az_rad, report.el_rad, 0.0, 0.0)
-
-    def _try_axes(self, step: Step) -> None:
-        report = self._report
-        if step.state is TrackState.SEARCHING:
-            self._stop("axis test: the target was lost")
-        if self._test is None or report is None or not isinstance(step.outline, Found):
-            return
-        if step.angles is None or step.jacobian is None:
-            return
-        q_px = np.array((step.outline.x_px, step.outline.y_px))
-        verdict = self._test.seen(q_px, step.angles, step.jacobian, step.instant)
-        self._reason = self._test.reason
-        if verdict is Verdict.PASSED:
-            self._tested, self._unclear = True, 0
-            self._begin(report)
-        elif verdict is Verdict.FAILED:
-            self.hold(self._test.reason)
+    def _judge(self, verdict: Verdict) -> None:
+        """What the proof says of the axes. The next attempt begins from being held, as soon as nothing is missing."""
+        if verdict is Verdict.PASSED and self._report is not None:
+            self._begin(self._report)
         elif verdict is Verdict.UNCLEAR:
-            self._unclear += 1
-            if self._unclear >= UNCLEAR_TESTS:
-                self.hold(f"{self._test.reason}, {UNCLEAR_TESTS} times: let it stand still, then arm")
-            else:
-                self._begin_test(report)
+            self._stop(self._proof.reason)
+        elif verdict is Verdict.FAILED:
+            self.hold(self._proof.reason)
 
-    def _follow_target(self, now: HostNs, dt_s: float, controller_now: ControllerUs | None) -> AxisCommand:
+    def _next_point(self, now: HostNs, dt_s: float) -> Point:
         point = self._set_point
         if point is None or now - point.at > SET_POINT_LIFE_NS:
             self._set_point = None
-            return self._position(self._limiter.stop_step(dt_s), controller_now)
+            return self._limiter.stop_step(dt_s)
         target = point.moved_to(now)
-        way = target.az_rad, target.el_rad, target.az_rad_s, target.el_rad_s
-        return self._follow(self._limiter, way, dt_s, controller_now)
+        return self._limiter.step(target.az_rad, target.el_rad, target.az_rad_s, target.el_rad_s, dt_s)
 
-    def _follow(
-        self,
-        limiter: SetPointLimiter,
-        target: tuple[float, float, float, float],
-        dt_s: float,
-        controller_now: ControllerUs | None,
-    ) -> AxisCommand:
-        return self._position(limiter.step(*target, dt_s), controller_now)
+    def _still(self, enable: bool, reset_fault: bool = False) -> AxisCommand:
+        """Heartbeat and hold. Where nothing is to begin the drive stays as it is: enabling and disabling are moves."""
+        return AxisCommand(self._sequence, enable=enable, reset_fault=reset_fault, watchdog_ms=self._steering.watchdog_ms)
 
-    def _position(self, point: tuple[float, float, float, float], controller_now: ControllerUs | None) -> AxisCommand:
+    def _position(self, point: Point, controller_now: ControllerUs | None) -> AxisCommand:
         az, el, az_rate, el_rate = point
         return AxisCommand(
             sequence=self._sequence,
@@ -311,22 +287,20 @@ class Axes:
         )
 
 
-def _limiters(steering: SteeringSettings) -> tuple[SetPointLimiter, SetPointLimiter]:
-    """For following, and for the slow test."""
-    return SetPointLimiter(steering), SetPointLimiter(steering.model_copy(update={"max_deg_s": steering.test_deg_s}))
+def _safety(report: GimbalReport) -> bool:
+    return report.fault & FAULT_CLASS == SAFETY_FAULT
 
 
-def _within(steering: SteeringSettings, info: GimbalInfo) -> SteeringSettings:
-    """The settings with the controller's own limits, where those are narrower."""
-    travel = {
-        name: (max(wanted[0], degrees(own[0])), min(wanted[1], degrees(own[1])))
-        for name, wanted, own in (
-            ("az_limits_deg", steering.az_limits_deg, info.az_limits_rad),
-            ("el_limits_deg", steering.el_limits_deg, info.el_limits_rad),
-        )
-    }
-    speed = {
-        "max_deg_s": min(steering.max_deg_s, degrees(info.max_rad_s)),
-        "max_deg_s2": min(steering.max_deg_s2, degrees(info.max_rad_s2)),
-    }
-    return steering.model_copy(update=travel | speed)
+def _trouble(report: GimbalReport) -> str:
+    """Why axes that move are to stop, in words; empty: nothing."""
+    if report.fault:
+        return f"controller fault 0x{report.fault:04x}"
+    if report.flags & GimbalFlag.COMM_LOST:
+        return "the controller's watchdog took over (comm lost)"
+    return "" if report.flags & GimbalFlag.ENABLED else "the controller disabled the axes"
+
+
+def _news(before: GimbalReport, report: GimbalReport) -> str:
+    """A fault or a lost link that an operator did not know of when arming."""
+    came = report.fault not in (0, before.fault) or GimbalFlag.COMM_LOST in report.flags & ~before.flags
+    return _trouble(report) if came else ""

@@ -21,6 +21,7 @@ SCALE_TOLERANCE = 0.2  # of the predicted pixel path; a flipped sign is off by 2
 STILL_SHARE = 0.1  # of the predicted pixel path: more than this between two looks at the base, and the target moved
 SMALLEST_PATH_PX = 10.0  # below this the test proves nothing
 PATIENCE_S = 3.0  # at each end
+GAP_NS = 500_000_000  # without a look: the waiting begins anew
 AXES = ("az", "el")
 
 
@@ -48,6 +49,7 @@ class AxisTest:
     reason: str = ""
     _place: int = 0
     _since: HostNs | None = None
+    _seen: HostNs | None = None
     _frames: list[tuple[Array, Array]] = field(default_factory=list)
     _looks: list[Look] = field(default_factory=list)
     _last_rad: Array | None = None
@@ -61,8 +63,9 @@ class AxisTest:
     def seen(self, q_px: Array, angles: AxisAngles, jacobian: Array, instant: HostNs) -> Verdict:
         """`jacobian` (2, 2) is d pixel / d (az, el) of a point that stands still in W."""
         here = np.array((angles.az_rad, angles.el_rad))
-        if self._since is None:
-            self._since = instant
+        if self._since is None or self._seen is None or instant - self._seen > GAP_NS:
+            self._since, self._last_rad, self._frames = instant, None, []
+        self._seen = instant
         if not self._settled(here):
             return self._wait(here, instant)
         self._frames.append((q_px, here))
@@ -86,7 +89,7 @@ class AxisTest:
         self._frames = []
         if self._since is not None and instant - self._since > PATIENCE_S * 1e9:
             off = np.degrees(here - self.target)
-            self.reason = f"axis test: the axes did not go where they were told (az {off[0]:+.3f}, el {off[1]:+.3f} deg away)"
+            self.reason = f"the axes did not go where they were told (az {off[0]:+.3f}, el {off[1]:+.3f} deg away)"
             return Verdict.FAILED
         return Verdict.RUNNING
 
@@ -96,17 +99,17 @@ class AxisTest:
         predicted = [jacobian @ (up.angles_rad - down.angles_rad) for up, down in paths]
         shortest = min(hypot(*p) for p in predicted)
         if shortest < SMALLEST_PATH_PX:
-            self.reason = f"axis test: the test angle moves the image by {shortest:.1f} px only"
+            self.reason = f"the test angle moves the image by {shortest:.1f} px only"
             return Verdict.FAILED
         moved = max(hypot(*(look.q_px - base.q_px - jacobian @ (look.angles_rad - base.angles_rad))) for look in (middle, end))
         if moved > STILL_SHARE * shortest:
-            self.reason = f"axis test: the target moved by {moved:.1f} px during the test"
+            self.reason = f"the target moved by {moved:.1f} px during the test"
             return Verdict.UNCLEAR
         for axis, (up, down), path in zip(AXES, paths, predicted, strict=True):
             seen = up.q_px - down.q_px
             if hypot(*(seen - path)) > SCALE_TOLERANCE * hypot(*path):
                 self.reason = (
-                    f"axis test: {axis} moved the image by ({seen[0]:+.1f}, {seen[1]:+.1f}) px,"
+                    f"{axis} moved the image by ({seen[0]:+.1f}, {seen[1]:+.1f}) px,"
                     f" the calibration says ({path[0]:+.1f}, {path[1]:+.1f}) px: sign, order or scale of the axes is wrong"
                 )
                 return Verdict.FAILED

@@ -7,10 +7,11 @@ be possible.
 """
 
 from dataclasses import dataclass
-from math import isfinite, radians
+from math import degrees, isfinite, radians
 
 from ruckig import ControlInterface, InputParameter, Result, Ruckig, Synchronization, Trajectory
 
+from trackerd.contract.model import GimbalInfo
 from trackerd.formats.settings import SteeringSettings
 
 AXES = 2
@@ -152,3 +153,19 @@ class SetPointLimiter:
 
 def _chosen(first: list[bool], a: list[float], b: list[float]) -> list[float]:
     return [x if take else y for take, x, y in zip(first, a, b, strict=True)]
+
+
+def within(steering: SteeringSettings, info: GimbalInfo) -> SteeringSettings:
+    """The settings with the controller's own limits, where those are narrower."""
+    travel = {
+        name: (max(wanted[0], degrees(own[0])), min(wanted[1], degrees(own[1])))
+        for name, wanted, own in (
+            ("az_limits_deg", steering.az_limits_deg, info.az_limits_rad),
+            ("el_limits_deg", steering.el_limits_deg, info.el_limits_rad),
+        )
+    }
+    speed = {
+        "max_deg_s": min(steering.max_deg_s, degrees(info.max_rad_s)),
+        "max_deg_s2": min(steering.max_deg_s2, degrees(info.max_rad_s2)),
+    }
+    return steering.model_copy(update=travel | speed)
