@@ -32,6 +32,7 @@ def _open(settings: ZenohSettings, changes: dict[str, Any]) -> zenoh.Session:
     values = {
         "mode": settings.mode,
         "scouting/multicast/enabled": False,
+        "transport/shared_memory/enabled": False,  # messages are small; every process would leave a file in /dev/shm
         "transport/link/tx/lease": settings.lease_ms,
         **changes,
     }

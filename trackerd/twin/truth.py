@@ -47,6 +47,7 @@ def session_config(settings: ZenohSettings) -> zenoh.Config:
         "connect/retry": RETRY,
         "scouting/multicast/enabled": False,
         "scouting/gossip/enabled": False,
+        "transport/shared_memory/enabled": False,  # messages are small; every process would leave a file in /dev/shm
         "scouting/delay": 0,  # there is nobody to wait for
     }.items():
         config.insert_json5(key, json.dumps(value))
