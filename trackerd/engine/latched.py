@@ -44,7 +44,7 @@ class LatchedAngles:
         self._encoders = encoders
         self._recording = recording
         self._stale_ns = stale_ns
-        self._matcher = LatchMatcher(info.edges)
+        self._matcher = LatchMatcher(info.edges or 1)  # without latches it is never asked
         self._fit = ClockFit()
         self._report: GimbalReport | None = None
         self._changed: HostNs | None = None
