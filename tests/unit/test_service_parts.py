@@ -45,12 +45,16 @@ async def test_a_late_loop_is_told_how_many_periods_have_passed() -> None:
         assert await anext(due) >= 4
 
 
+def open_files() -> set[Path]:
+    return set(Path("/proc/self/fd").iterdir())
+
+
 async def test_a_closed_timer_leaves_no_file_behind() -> None:
-    before = set(Path("/proc/self/fd").iterdir())
+    before = open_files()
     async with aclosing(ticks(PERIOD_S)) as due:
         await anext(due)
-        assert len(set(Path("/proc/self/fd").iterdir()) - before) == 1
-    assert set(Path("/proc/self/fd").iterdir()) <= before
+        assert len(open_files() - before) == 1
+    assert open_files() <= before
 
 
 # ---- systemd ---------------------------------------------------------------------------------------------------------
