@@ -40,11 +40,12 @@ class Mailbox:
         self._totals = CameraStatistics()
 
     def restart(self) -> None:
-        """A new stream begins with frame id 0; what is left of the last one is forgotten."""
+        """A new stream begins with frame id 0; a frame that is left of the last one is skipped."""
         with self._lock:
             if self._waiting is not None:
                 self._free.append(self._waiting.image)
                 self._waiting = None
+                self._totals = replace(self._totals, skipped=self._totals.skipped + 1)
             self._next_id = 0
             self._end = None
             self.trouble = ""

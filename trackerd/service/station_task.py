@@ -4,7 +4,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from trackerd.contract.clock import Clock, ClockKind, HostNs
-from trackerd.contract.model import AxisAngles, Frame, NoAngle, TrackState
+from trackerd.contract.model import AxisAngles, CameraStatistics, Frame, NoAngle, TrackState
 from trackerd.contract.ports import Camera
 from trackerd.engine.latched import RecordingTime
 from trackerd.engine.track import Step, Tracker
@@ -59,6 +59,7 @@ class StationTask:
     async def run(self, camera: Camera) -> None:
         """Until cancelled, the stream breaks (DeviceError) or a recording ends. Each pass numbers frames and latches anew."""
         times = CameraTimes(camera, self._recording)
+        earlier = self.counts.skipped, self.counts.dropped
         with Worker(f"track-{self.name}") as worker:
             while True:
                 await camera.stop()
@@ -67,6 +68,7 @@ class StationTask:
                 await camera.start()
                 async for frame in camera.frames():
                     await self._process(frame, times, worker)
+                    self._count_missing(camera.statistics(), *earlier)
                     if self._link.epoch != epoch:
                         break
 
@@ -80,7 +82,7 @@ class StationTask:
         instants = times.instants(frame, angles)
         step, work_ns = await worker.run(self._timed_step, frame, angles, instants)
         self._link.seen(step)
-        self._count(frame, angles, step)
+        self._count(angles, step)
         self._out(self.name, step)
         self.stages.angles.add(known - frame.arrived)
         self.stages.work.add(work_ns)
@@ -91,11 +93,9 @@ class StationTask:
         step = self._tracker.step(frame, angles, instants)
         return step, self._clock.now() - began
 
-    def _count(self, frame: Frame, angles: AxisAngles | NoAngle, step: Step) -> None:
+    def _count(self, angles: AxisAngles | NoAngle, step: Step) -> None:
         counts = self.counts
         counts.processed += 1
-        counts.skipped += frame.skipped
-        counts.dropped += frame.dropped
         if isinstance(angles, NoAngle):
             counts.no_angle += 1
             counts.last_no_angle = angles.reason
@@ -103,6 +103,11 @@ class StationTask:
             counts.missed += 1
             counts.last_missed = step.why
         self.state, self.last = step.state, step
+
+    def _count_missing(self, camera: CameraStatistics, skipped: int, dropped: int) -> None:
+        """By the camera's own counts, which know of a frame that waited when its stream was begun anew; before it: others'."""
+        self.counts.skipped = skipped + camera.skipped
+        self.counts.dropped = dropped + camera.dropped
 
 
 class CameraTimes:
