@@ -7,7 +7,7 @@ from math import radians
 
 import numpy as np
 
-from trackerd.contract.clock import CameraNs, ClockKind, ControllerUs, HostNs, ManualClock
+from trackerd.contract.clock import CameraNs, ClockKind, ControllerUs, ManualClock
 from trackerd.contract.errors import TrackerdError
 from trackerd.contract.model import (
     AxisCommand,
@@ -52,7 +52,7 @@ CAMERA = CameraInfo(
 
 @dataclass
 class MemoryGimbal:
-    """A controller that does nothing by itself: drives and latches are as the test sets them. `error` is raised by every exchange."""
+    """A controller whose drives and latches are as the test sets them. `error` is raised by every exchange."""
 
     clock: ManualClock
     info: GimbalInfo = GIMBAL
@@ -130,6 +130,7 @@ class MemoryCamera:
     info: CameraInfo = CAMERA
     on_start: Callable[[], None] = lambda: None
     calls: list[str] = field(default_factory=list)
+    counts: CameraStatistics = field(default_factory=CameraStatistics)
     out: asyncio.Queue[Frame | TrackerdError] = field(default_factory=asyncio.Queue)
 
     async def start(self) -> None:
@@ -147,7 +148,7 @@ class MemoryCamera:
             yield item
 
     def statistics(self) -> CameraStatistics:
-        return CameraStatistics()
+        return self.counts
 
     def expose(self, frame_id: int, image: np.ndarray | None = None, **fields: int) -> Frame:
         """One frame is complete now."""
