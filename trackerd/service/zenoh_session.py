@@ -48,8 +48,7 @@ def _insert(config: zenoh.Config, path: str, value: Any) -> None:
     try:
         config.insert_json5(path, json.dumps(value))
     except zenoh.ZError as error:
-        answer = re.sub(r'^Json5Err\(Message \{ msg: "', "", str(error))
-        raise ConfigError(f"[zenoh] {path.partition('/')[0]} = {value}: {_first_sentence(answer)}") from error
+        raise ConfigError(f"[zenoh] {path.partition('/')[0]} = {value}: {_first_sentence(str(error))}") from error
 
 
 def _base(settings: ZenohSettings) -> zenoh.Config:
@@ -68,9 +67,13 @@ def _in_words(settings: ZenohSettings, answer: str) -> str:
             f"[zenoh] listen = {taken[1]}: the port is taken by another process"
             " (another trackerd or a Zenoh router?): stop it, or choose another port"
         )
+    silent = re.search(r"Unable to connect to any of \[(?:\w+\()?(.*?)\)?\]", answer)
+    if silent:
+        return f"[zenoh] nobody answers at {silent[1]}: is the daemon (or the router) running?"
     return f"[zenoh] listen = {list(settings.listen)}, connect = {list(settings.connect)}: {_first_sentence(answer)}"
 
 
 def _first_sentence(answer: str) -> str:
-    """Zenoh appends where in its sources an error arose; nobody can act on that."""
+    """Zenoh wraps its words into its own types, and appends where in its sources an error arose; nobody can act on that."""
+    answer = answer.rpartition('Message { msg: "')[2].partition('", location: ')[0]
     return re.split(r" at /|\bat [^ ]*/src/", answer)[0].strip().rstrip(":.[")
