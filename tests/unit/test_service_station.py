@@ -113,9 +113,11 @@ async def test_every_frame_is_accounted_for() -> None:
         bench.exposed(0)
         bench.exposed(4)
         bench.camera.counts = CameraStatistics(delivered=3, skipped=2, dropped=1)
-        bench.camera.expose(5)  # without a latch
-        for _ in range(3):
+        for _ in range(2):
             await bench.step()
+        await bench.gimbal.exchanged(2)
+        bench.camera.expose(5)  # without a latch
+        await bench.step()
         counts = bench.task.counts
         assert (counts.processed, counts.skipped, counts.dropped, counts.no_angle, counts.missed) == (3, 2, 1, 1, 3)
         assert counts.last_no_angle == "its latch did not come within 2 bus cycles"
