@@ -52,6 +52,15 @@ def test_it_tells_systemd_how_it_is_and_leaves_nothing_behind_when_it_is_stopped
         assert "Traceback" not in cell.words()
 
 
+def test_a_stop_while_the_cell_is_still_being_opened_is_a_stop_too() -> None:
+    with running_cell(STILL) as cell:  # it listens, and the twin is on its way up
+        family = children(cell.process.pid)
+        assert cell.stop() == 0, cell.words()
+        assert not psutil.wait_procs(family, timeout=DEADLINE_S)[1]
+        assert list((cell.folder / "tmp").iterdir()) == []
+        assert "Traceback" not in cell.words()
+
+
 def test_nothing_moves_before_the_operator_arms() -> None:
     with running_cell(STILL, *OPERATOR) as cell:
         first = cell.wait("status")

@@ -23,6 +23,7 @@ log = logging.getLogger("trackerd")
 async def serve(cell: CellConfig, overrides: Sequence[str], duration_s: float | None) -> None:
     """Runs the cell until SIGTERM, SIGINT, the end of a recording, or for `duration_s` after READY."""
     gc.disable()  # nothing that is made before READY is garbage, and looking for it takes a fifth of the start
+    stop = _stop_signals()
     told: dict[str, Any] | None = None
     async with AsyncExitStack() as stack:
         twin = None if cell.twin is None else await stack.enter_async_context(start_twin(cell.path, overrides))
@@ -34,7 +35,7 @@ async def serve(cell: CellConfig, overrides: Sequence[str], duration_s: float | 
             cell = with_twin(cell, told)
         wiring = await importing
         wiring.settle_threads()
-        await _run(wiring.build(cell, source, link, SystemClock(), told), Notifier.from_environment(), duration_s)
+        await _run(wiring.build(cell, source, link, SystemClock(), told), Notifier.from_environment(), stop, duration_s)
 
 
 def with_twin(cell: CellConfig, told: dict[str, Any]) -> CellConfig:
@@ -50,12 +51,17 @@ def with_twin(cell: CellConfig, told: dict[str, Any]) -> CellConfig:
     return replace(cell, gimbals=gimbals, cameras=cameras)
 
 
-async def _run(service: Any, notifier: Notifier, duration_s: float | None) -> None:
-    """Until it ends by itself, is told to stop, or its time is over; a stop is no error."""
-    loop = asyncio.get_running_loop()
+def _stop_signals() -> asyncio.Event:
+    """Set by SIGTERM and SIGINT; one that comes while the cell is still being opened ends it as soon as it is."""
     stop = asyncio.Event()
     for number in (signal.SIGTERM, signal.SIGINT):
-        loop.add_signal_handler(number, stop.set)
+        asyncio.get_running_loop().add_signal_handler(number, stop.set)
+    return stop
+
+
+async def _run(service: Any, notifier: Notifier, stop: asyncio.Event, duration_s: float | None) -> None:
+    """Until it ends by itself, is told to stop, or its time is over; a stop is no error."""
+    loop = asyncio.get_running_loop()
 
     def ready() -> None:
         _settle_memory()
