@@ -2,6 +2,7 @@
 
 import argparse
 import os
+import signal
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from math import isfinite, nan
@@ -33,6 +34,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         _parser().error("--config FILE is needed")
     options.overrides += options.more_overrides
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before NumPy is loaded: small matrices, and cores are for the stations
+    signal.signal(signal.SIGTERM, signal.default_int_handler)  # as SIGINT; what runs on an event loop sets its own
     command: Callable[[argparse.Namespace], int] = options.run
     try:
         return command(options)
@@ -174,7 +176,11 @@ def _twin(options: argparse.Namespace) -> int:
 def _watch(options: argparse.Namespace) -> int:
     from trackerd.cli.watch import watch
 
-    return watch(options.config, options.overrides, options.duration, options.plain)
+    try:
+        return watch(options.config, options.overrides, options.duration, options.plain)
+    except BrokenPipeError:  # who reads our output has seen enough
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return DONE
 
 
 def _select(options: argparse.Namespace) -> int:
