@@ -9,8 +9,9 @@ import numpy.typing as npt
 
 from trackerd.contract.model import Image
 
-Floats = npt.NDArray[np.float32]
+Floats = npt.NDArray[np.float64]
 Whole = npt.NDArray[np.intp]
+Short = npt.NDArray[np.int32]
 
 FEW_SECTORS, MANY_SECTORS = 48, 96
 MANY_FROM_PX = 25  # a smaller circle has too few pixels for 96 sectors
@@ -18,15 +19,16 @@ MANY_FROM_PX = 25  # a smaller circle has too few pixels for 96 sectors
 
 @dataclass(frozen=True, slots=True)
 class Ring:
-    """Offsets of pixels from a whole-numbered centre. All (S, n): sector by sector, filled up with copies of weight 0."""
+    """Offsets of pixels from a whole-numbered centre, (S, n): sector by sector, filled up by copies of weight 0."""
 
     dx: Floats
     dy: Floats
-    column: Whole
-    row: Whole
+    column: Short
+    row: Short
     weight: Floats  # 1 for a pixel, 0 for a copy that only fills up
-    design: npt.NDArray[np.float64]  # (S, 3): unit vector of the sector's middle, and 1: d (edge's offset) / d (x, y, r)
-    blur_design: npt.NDArray[np.float64]  # (S, 3): 1, cos and sin of twice the sector's angle: d (blur's variance) / d unknown
+    count: Short  # (S,) pixels of each sector
+    design: Floats  # (S, 3): unit vector of the sector's middle, and 1: d (edge's offset) / d (x, y, r)
+    blur_design: Floats  # (S, 3): 1, cos and sin of twice the sector's angle: d (blur's variance) / d unknown
     reach_px: int  # no offset is greater
 
 
@@ -53,11 +55,12 @@ def ring(radius_px: int, inside_px: int, outside_px: int) -> Ring:
     column, row = column[order], row[order]
     middle = (np.arange(sectors) + 0.5) * (2.0 * pi / sectors)
     return Ring(
-        column.astype(np.float32),
-        row.astype(np.float32),
-        column.astype(np.intp),
-        row.astype(np.intp),
+        column.astype(np.float64),
+        row.astype(np.float64),
+        column.astype(np.int32),
+        row.astype(np.int32),
         weight,
+        weight.sum(axis=1).astype(np.int32),
         np.column_stack((np.cos(middle), np.sin(middle), np.ones(sectors))),
         np.column_stack((np.ones(sectors), np.cos(2.0 * middle), np.sin(2.0 * middle))),
         reach,
@@ -76,10 +79,10 @@ def gather(image: Image, pixels: Ring, column: int, row: int) -> Gathered:
     height, width = image.shape
     reach = pixels.reach_px
     if reach <= column < width - reach and reach <= row < height - reach:
-        return Gathered(image[pixels.row + row, pixels.column + column].astype(np.float32), pixels.weight)
+        return Gathered(image[pixels.row + row, pixels.column + column].astype(np.float64), pixels.weight)
     x, y = pixels.column + column, pixels.row + row
     inside = (x >= 0) & (x < width) & (y >= 0) & (y < height)
-    level = image[np.clip(y, 0, height - 1), np.clip(x, 0, width - 1)].astype(np.float32)
+    level = image[np.clip(y, 0, height - 1), np.clip(x, 0, width - 1)].astype(np.float64)
     return Gathered(level, pixels.weight * inside)
 
 
@@ -91,4 +94,4 @@ def _fill(sector: Whole, sectors: int) -> tuple[Whole, Floats]:
     place = np.arange(count.max())[None, :]
     real = place < count[:, None]
     index = first[:, None] + np.minimum(place, np.maximum(count - 1, 0)[:, None])
-    return order[np.minimum(index, len(order) - 1)], real.astype(np.float32)
+    return order[np.minimum(index, len(order) - 1)], real.astype(np.float64)

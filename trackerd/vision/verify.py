@@ -3,7 +3,7 @@
 import numpy as np
 
 from trackerd.contract.model import Found, Missed, Outline
-from trackerd.vision.fit import CircleFit, Sectors
+from trackerd.vision.convergence import CircleFit, Sectors
 from trackerd.vision.noise import NoiseModel
 
 LEAST_COVERAGE = 0.50  # of the outline, where a guess led here
