@@ -27,15 +27,21 @@ async def serve(cell: CellConfig, overrides: Sequence[str], duration_s: float | 
     told: dict[str, Any] | None = None
     async with AsyncExitStack() as stack:
         twin = None if cell.twin is None else await stack.enter_async_context(start_twin(cell.path, overrides))
-        importing = asyncio.ensure_future(asyncio.to_thread(import_module, "trackerd.wiring.build"))
+        loading = asyncio.ensure_future(asyncio.to_thread(_load))
         source = source_of(cell)
         link = stack.enter_context(open_link(cell.zenoh, source))
         if twin is not None:
             told = await announcement(twin)
             cell = with_twin(cell, told)
-        wiring = await importing
+        wiring, kernel = await loading
+        log.info("vision kernel: %s", kernel)
         wiring.settle_threads()
         await _run(wiring.build(cell, source, link, SystemClock(), told), Notifier.from_environment(), stop, duration_s)
+
+
+def _load() -> tuple[Any, str]:
+    """The wiring, and the vision kernel's name: ready before a device is opened, so that nothing that runs waits for it."""
+    return import_module("trackerd.wiring.build"), import_module("trackerd.vision.kernels").warm_up()
 
 
 def with_twin(cell: CellConfig, told: dict[str, Any]) -> CellConfig:
