@@ -14,7 +14,7 @@ from trackerd.contract.errors import Degenerate
 from trackerd.contract.model import Array, AxisAngles, Found, Frame, Missed, NoAngle, Outline, Sightline, TrackState
 from trackerd.formats.settings import CameraSettings, SteeringSettings, TrackingSettings
 from trackerd.geometry.gimbal import Station
-from trackerd.geometry.sightline import Instants, sightline
+from trackerd.geometry.sightline import Instants, seen
 from trackerd.steering.follow import Looked, SetPoint, angle_from_offset, follow
 from trackerd.steering.motion import Motion
 from trackerd.vision.acquire import Acquisition, Expected
@@ -37,7 +37,7 @@ class Step:
     state: TrackState
     outline: Outline  # in sensor coordinates
     sightline: Sightline | None  # only when locked, with angles
-    set_point: SetPoint | None  # locked: to follow; coasting: the last one, moved on; searching: None
+    set_point: SetPoint | None  # to follow; not seen or without angles: the last one, moved on while coasting is allowed
     offset_px: Pixel | None  # of the target from the aim pixel
     angles: AxisAngles | None
     jacobian: Array | None  # (2, 2) d px / d encoder rad at the target
@@ -80,6 +80,7 @@ class Tracker:
         self._state = TrackState.SEARCHING
         self._seen = self._missed = 0  # consistent outlines so far; frames since the last one
         self._last: Found | None = None  # in sensor coordinates
+        self._blind = 0  # frames in a row without a direction to the target: not seen, or no angles
         self._jacobian: Array | None = None
         self._set_point: SetPoint | None = None
 
@@ -121,7 +122,7 @@ class Tracker:
 
     def _forget(self) -> None:
         self._state = TrackState.SEARCHING
-        self._seen = self._missed = 0
+        self._seen = self._missed = self._blind = 0
         self._last = self._jacobian = self._set_point = None
         self._motion.reset()
         self._drift.forget()
@@ -187,16 +188,14 @@ class Tracker:
         """Line of sight and what is missing to the aim pixel; None and why, where there are no angles."""
         if isinstance(angles, NoAngle):
             return None, angles.reason
-        line = sightline(self._station, found, angles, self._radius_mm, instants)
-        p_world_mm = line.origin_mm + line.range_mm * line.direction
-        jacobian = self._station.pixel_jacobian(p_world_mm, angles.az_rad, angles.el_rad)
+        target = seen(self._station, found, angles, self._radius_mm, instants)
         try:
-            pixel_angle = angle_from_offset(jacobian, offset_px)
+            pixel_angle = angle_from_offset(target.jacobian, offset_px)
         except Degenerate as error:
             return None, str(error)
-        self._jacobian = jacobian
+        self._jacobian = target.jacobian
         self._motion.update(instants.exposed, angles.az_rad + pixel_angle[0], angles.el_rad + pixel_angle[1])
-        return _View(line, jacobian, Looked(instants.exposed, angles, pixel_angle, offset_px)), ""
+        return _View(target.line, target.jacobian, Looked(instants.exposed, angles, pixel_angle, offset_px)), ""
 
     def _follow(self, view: _View | None, instants: Instants) -> SetPoint | None:
         if self._state is TrackState.SEARCHING:
@@ -205,7 +204,9 @@ class Tracker:
         at = HostNs(instants.exposed + delay_ns + self._lead_ns)
         previous = self._set_point
         if view is None:
-            return None if previous is None else previous.moved_to(at)
+            self._blind += 1
+            return None if previous is None or self._blind > self._coast_frames else previous.moved_to(at)
+        self._blind = 0
         steering = self._steering
         predict = self._motion.predict if steering.feed_forward else None
         return follow(view.looked, steering.gain, steering.deadband_px, at, predict, previous)
