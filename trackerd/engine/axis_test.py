@@ -17,6 +17,7 @@ from trackerd.formats.settings import SteeringSettings
 
 FRAMES_PER_END = 2  # averaged at each end
 ARRIVED_SHARE = 0.05  # of the test angle: closer than this, and no longer moving, is 'there'
+NOISE_SIGMAS = 5.0  # of one reading: nothing closer than this can be told
 SCALE_TOLERANCE = 0.2  # of the predicted pixel path; a flipped sign is off by 2, swapped axes by 1.4
 STILL_SHARE = 0.1  # of the predicted pixel path: more than this between two looks at the base, and the target moved
 SMALLEST_PATH_PX = 10.0  # below this the test proves nothing
@@ -66,7 +67,7 @@ class AxisTest:
         if self._since is None or self._seen is None or instant - self._seen > GAP_NS:
             self._since, self._last_rad, self._frames = instant, None, []
         self._seen = instant
-        if not self._settled(here):
+        if not self._settled(here, angles.sigma_rad):
             return self._wait(here, instant)
         self._frames.append((q_px, here))
         if len(self._frames) < FRAMES_PER_END:
@@ -79,11 +80,12 @@ class AxisTest:
         a = radians(self.steering.test_deg)
         return tuple(np.array(p) for p in ((0.0, 0.0), (a, 0.0), (-a, 0.0), (0.0, 0.0), (0.0, a), (0.0, -a), (0.0, 0.0)))
 
-    def _settled(self, here: Array) -> bool:
+    def _settled(self, here: Array, sigma_rad: float) -> bool:
+        """There, and at rest, as far as the encoders' noise tells."""
         tolerance = ARRIVED_SHARE * radians(self.steering.test_deg)
         last, self._last_rad = self._last_rad, here
-        at_rest = last is not None and float(np.abs(here - last).max()) < 0.2 * tolerance
-        return at_rest and float(np.abs(here - self.target).max()) < tolerance
+        at_rest = last is not None and float(np.abs(here - last).max()) < max(0.2 * tolerance, NOISE_SIGMAS * sigma_rad)
+        return at_rest and float(np.abs(here - self.target).max()) < max(tolerance, NOISE_SIGMAS * sigma_rad)
 
     def _wait(self, here: Array, instant: HostNs) -> Verdict:
         self._frames = []
