@@ -15,12 +15,11 @@ from trackerd.engine.divergence import DivergenceWatch
 from trackerd.engine.enabling import Enabling, is_enabled
 from trackerd.engine.proof import Proof
 from trackerd.engine.track import Step
+from trackerd.engine.trouble import is_safety_input, news_of, trouble_of
 from trackerd.formats.settings import SteeringSettings
 from trackerd.steering.follow import SetPoint
 from trackerd.steering.limits import Point, SetPointLimiter, within
 
-SAFETY_FAULT = 0x0500
-FAULT_CLASS = 0xFF00
 SET_POINT_LIFE_NS = 100_000_000  # a set-point older than this is followed no longer: the axes ramp to rest
 FRAME_LIFE_NS = 500_000_000  # what a frame older than this has shown is no reason to begin, or to go on with the test
 CLOCK_RAN_ON_US = 100_000  # behind the host by no more than this, and 1 %: it has not restarted in between
@@ -119,12 +118,12 @@ class Axes:
                 self._proof.forget()
         if not self._armed:
             return
-        if _safety(report) and not (before is not None and _safety(before)):
+        if is_safety_input(report) and not (before is not None and is_safety_input(before)):
             self.hold(f"safety input (fault 0x{report.fault:04x}): arm again once it is cleared")
         elif self._state in MOVING:
-            self._lose(_trouble(report))
+            self._lose(trouble_of(report))
         elif not self._automatic and before is not None:
-            self._lose(_news(before, report))
+            self._lose(news_of(before, report))
 
     # ---- every frame -------------------------------------------------------------------------------------------------
 
@@ -205,8 +204,10 @@ class Axes:
         return self._commanded is not None and self._commanded - step.instant <= FRAME_LIFE_NS
 
     def _disarm(self, reason: str) -> None:
-        """Stop; an operator has to arm again, unless that is automatic and no safety input was tripped."""
-        if self._armed and (not self._automatic or (self._report is not None and _safety(self._report))):
+        """Stop; an operator has to arm again, unless that is automatic and no safety input was tripped. What was seen before
+        counts no more."""
+        self._step = None
+        if self._armed and (not self._automatic or (self._report is not None and is_safety_input(self._report))):
             self.hold(f"{reason}; not armed")
         else:
             self._stop(reason if self._armed else self._reason or reason)
@@ -285,22 +286,3 @@ class Axes:
             velocity_valid=True,
             watchdog_ms=self._steering.watchdog_ms,
         )
-
-
-def _safety(report: GimbalReport) -> bool:
-    return report.fault & FAULT_CLASS == SAFETY_FAULT
-
-
-def _trouble(report: GimbalReport) -> str:
-    """Why axes that move are to stop, in words; empty: nothing."""
-    if report.fault:
-        return f"controller fault 0x{report.fault:04x}"
-    if report.flags & GimbalFlag.COMM_LOST:
-        return "the controller's watchdog took over (comm lost)"
-    return "" if report.flags & GimbalFlag.ENABLED else "the controller disabled the axes"
-
-
-def _news(before: GimbalReport, report: GimbalReport) -> str:
-    """A fault or a lost link that an operator did not know of when arming."""
-    came = report.fault not in (0, before.fault) or GimbalFlag.COMM_LOST in report.flags & ~before.flags
-    return _trouble(report) if came else ""

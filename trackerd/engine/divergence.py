@@ -18,6 +18,7 @@ DIVERGING_PX = 15.0  # below this a growing error is noise or the start of a mot
 GROWTH_PX = 0.5  # a frame, at least
 SURPRISING_PX = 15.0  # in one frame: an honest target does that from 3 m/s^2 on (2 m, f 31000 px, 55 fps)
 EXPLAINED_SHARE = 0.4  # of the surprise that a wrong wiring may leave over to be believed
+LEAST_SHARE = 0.25  # of a move on which the wiring may have changed
 BELIEVED = 2  # surprises in a row that a wrong wiring explains; one is enough where the target is lost next
 LONGEST_GAP_NS = 100_000_000
 
@@ -52,9 +53,9 @@ class _Move:
         turned_rad = self.after.angles_rad - self.before.angles_rad
         return self.jacobian @ (turned_rad if wiring is None else wiring @ turned_rad)
 
-    def by_target_px(self, wiring: Array | None = None) -> Array:
-        """What the target must have done itself, with the axes wired so."""
-        return self.after.offset_px - self.before.offset_px - self.by_axes_px(wiring)
+    def by_target_px(self) -> Array:
+        """What the target must have done itself, where the axes do what the calibration says."""
+        return self.after.offset_px - self.before.offset_px - self.by_axes_px()
 
 
 @dataclass(slots=True)
@@ -78,19 +79,29 @@ class _Wiring:
         if self._velocity_px_s is None:
             self._accept(move, own_px)
             return
-        expected_px = self._velocity_px_s * move.seconds
-        surprise_px = hypot(*(own_px - expected_px))
+        surprise = own_px - self._velocity_px_s * move.seconds
+        surprise_px = hypot(*surprise)
         if surprise_px < SURPRISING_PX:
             self._accept(move, own_px)
             return
-        left_px = {name: hypot(*(move.by_target_px(wiring) - expected_px)) for name, wiring in WIRINGS.items()}
+        left_px = {name: self._left_px(move, surprise, wiring) for name, wiring in WIRINGS.items()}
         name = min(left_px, key=left_px.__getitem__)
         if left_px[name] < EXPLAINED_SHARE * surprise_px:
             self._suspected.append(name)
         elif self._unexplained or self._suspected:
             self._accept(move, own_px)  # it is the target that moves so
         else:
-            self._unexplained += 1  # once: the wiring may have changed in the middle of this move
+            self._unexplained += 1  # once: it may have been a single bad outline
+
+    def _left_px(self, move: _Move, surprise: Array, wiring: Array) -> float:
+        """Of the surprise, if the axes are wired so; the first time they may be so since the middle of the move only."""
+        other_way = move.by_axes_px(wiring) - move.by_axes_px()
+        length = float(other_way @ other_way)
+        if length == 0.0:
+            return hypot(*surprise)
+        latest = 1.0 if self._suspected else LEAST_SHARE
+        share = min(max(float(surprise @ other_way) / length, latest), 1.0)
+        return hypot(*(surprise - share * other_way))
 
     def _accept(self, move: _Move, own_px: Array) -> None:
         self._velocity_px_s = own_px / move.seconds
@@ -110,10 +121,11 @@ class DivergenceWatch:
 
     def diverges(self, step: Step) -> str:
         """Why, in words; empty: it does not."""
-        if step.offset_px is None or step.angles is None or step.jacobian is None:
-            suspected = self._wiring.suspected if step.offset_px is None else ""
-            self.reset()
+        if step.offset_px is None:
+            suspected = self._wiring.suspected
             return f"the target was driven out of sight, as if {suspected}" if suspected else ""
+        if step.angles is None or step.jacobian is None:
+            return ""
         look = _Look(step.instant, np.array(step.offset_px), np.array((step.angles.az_rad, step.angles.el_rad)))
         last, self._last = self._last, look
         if last is None or not 0 < look.instant - last.instant <= LONGEST_GAP_NS:
