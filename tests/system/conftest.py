@@ -9,12 +9,14 @@ from system.cell import PATIENT, Cell, running_cell
 @pytest.fixture(scope="module")
 def still_cell() -> Iterator[Cell]:
     """The probe stands still, so that the axes can be proved again after a fault."""
-    with running_cell('twin.path.kind="still"') as cell:
+    with running_cell('twin.path.kind="still"', "service.restart_s=[0.2,0.5]", *PATIENT) as cell:
         yield cell
 
 
 @pytest.fixture
 def following(still_cell: Cell) -> Cell:
+    if not all(station["axes"]["armed"] for station in still_cell.status()["stations"].values()):
+        still_cell.trackerd("arm")  # a test that failed half-way fails alone
     still_cell.axes("following")
     still_cell.valid_fix()
     return still_cell

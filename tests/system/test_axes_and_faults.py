@@ -49,7 +49,7 @@ def test_a_controller_that_restarts_is_proved_and_followed_again(following: Cell
 
 def test_a_silent_controller_gives_no_angles_and_no_fix_until_it_speaks_again(following: Cell) -> None:
     cell, since, statuses = following, following.mark("position"), following.mark("status")
-    cell.control(do="silence", gimbal="right", for_s=1.0)
+    cell.control(do="silence", gimbal="right", for_s=1.5)  # longer than a request waits
     lost = cell.wait("status", lambda s: gimbal(s, "right")["gimbal"]["state"] == "lost", statuses)
     assert "no reply" in gimbal(lost, "right")["gimbal"]["reason"]
     told = cell.wait("position", lambda m: m["state"] == "searching", since)

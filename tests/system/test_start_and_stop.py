@@ -62,7 +62,7 @@ def test_a_stop_while_the_cell_is_still_being_opened_is_a_stop_too() -> None:
 
 
 def test_nothing_moves_before_the_operator_arms() -> None:
-    with running_cell(STILL, *OPERATOR) as cell:
+    with running_cell(STILL, *OPERATOR, *PATIENT) as cell:
         first = cell.wait("status")
         before = angles(cell)
         cell.valid_fix()
