@@ -38,7 +38,6 @@ class AxesLink:
         self._latched: LatchedAngles | None = None
         self._news = asyncio.Event()
         self._zeroing = False
-        self._zeroed = False  # the controller has accepted a record that asked for it, and its counter is 0
         self._unmatched = 0  # frames in a row whose latch never came
         self._late_cycles = 0
         self._exchanges = 0
@@ -89,11 +88,11 @@ class AxesLink:
         begins an epoch of its own."""
         if self._latched is None:
             return
-        self._zeroing, self._zeroed = True, False
+        self._zeroing = True
         try:
             for _ in range(ZERO_CYCLES):
                 await self._next_report()
-                if self._zeroed or self._latched is None:
+                if not self._zeroing or self._latched is None:
                     break
             else:
                 raise DeviceTimeout(f"gimbal {self.name}", "set the latch counter to zero", f"not done in {ZERO_CYCLES} cycles")
@@ -136,7 +135,9 @@ class AxesLink:
         if self._zeroing:
             command = replace(command, latch_zero=True)
         report = await gimbal.exchange(command)
-        self._zeroed = command.latch_zero and report.echo == command.sequence and report.latch_total == 0
+        if command.latch_zero and report.echo == command.sequence and report.latch_total == 0:
+            # At once: a late cycle sends the next command before `zero_latch` wakes up, and its zero would meet the new stream.
+            self._zeroing = False
         self._exchanges += 1
         if self._latched.reported(report):
             log.warning("the controller of %s has restarted", self.name)
