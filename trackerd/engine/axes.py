@@ -138,6 +138,12 @@ class Axes:
                 self._proof.forget()
                 self.hold(f"loop diverges: {diverges}")
 
+    def unseen(self) -> None:
+        """There are no frames any more: what was seen last counts for nothing."""
+        self._step = None
+        if self._state is AxesState.TESTING:
+            self._stop("axis test: there are no frames")
+
     # ---- every bus cycle ---------------------------------------------------------------------------------------------
 
     def command(self, now: HostNs, controller_now: ControllerUs | None) -> AxisCommand:

@@ -21,6 +21,7 @@ from trackerd.service.pacer import ticks
 log = logging.getLogger("trackerd.axes")
 LATCH_CYCLES = 2  # a frame waits this many bus cycles for the status that holds its latch
 ZERO_CYCLES = 40
+SEQUENCES = 0x10000
 OUT_OF_STEP_FRAMES = 25  # about half a second
 FAREWELL_CYCLES = 3  # 'hold' is sent this often before the link is closed
 
@@ -38,6 +39,7 @@ class AxesLink:
         self._latched: LatchedAngles | None = None
         self._news = asyncio.Event()
         self._zeroing = False
+        self._first_zero: int | None = None  # sequence of the first command that asked for it
         self._unmatched = 0  # frames in a row whose latch never came
         self._late_cycles = 0
         self._exchanges = 0
@@ -88,7 +90,7 @@ class AxesLink:
         begins an epoch of its own."""
         if self._latched is None:
             return
-        self._zeroing = True
+        self._zeroing, self._first_zero = True, None
         try:
             for _ in range(ZERO_CYCLES):
                 await self._next_report()
@@ -104,6 +106,9 @@ class AxesLink:
 
     def seen(self, step: Step) -> None:
         self._axes.seen(step)
+
+    def unseen(self) -> None:
+        self._axes.unseen()
 
     def arm(self) -> str:
         answer = self._axes.arm()
@@ -135,7 +140,7 @@ class AxesLink:
         if self._zeroing:
             command = replace(command, latch_zero=True)
         report = await gimbal.exchange(command)
-        if command.latch_zero and report.echo == command.sequence and report.latch_total == 0:
+        if command.latch_zero and report.latch_total == 0 and self._zero_accepted(command.sequence, report.echo):
             # At once: a late cycle sends the next command before `zero_latch` wakes up, and its zero would meet the new stream.
             self._zeroing = False
         self._exchanges += 1
@@ -145,6 +150,12 @@ class AxesLink:
             self.epoch += 1
         self._axes.reported(report)
         self._tell()
+
+    def _zero_accepted(self, sequence: int, echo: int) -> bool:
+        """The controller has taken this command, or an earlier one that asked for the same (its status may be a cycle old)."""
+        if self._first_zero is None:
+            self._first_zero = sequence
+        return (echo - self._first_zero) % SEQUENCES <= (sequence - self._first_zero) % SEQUENCES
 
     def _out_of_step(self) -> None:
         """Latches come, but never the one that is asked for: frames and latches have to be numbered anew."""

@@ -75,6 +75,7 @@ class StationTask:
     def lost(self) -> None:
         """No camera: nothing is tracked."""
         self.state = TrackState.SEARCHING
+        self._link.unseen()
 
     async def _process(self, frame: Frame, times: "CameraTimes", worker: Worker) -> None:
         angles = await self._link.latched_at(frame)
