@@ -297,6 +297,21 @@ async def test_no_doorbell_and_no_exposure_after_the_answer_to_stop() -> None:
             assert (await left.exchange(gm.LATCH_ENABLE, watchdog_ms=1000)).latch_total >= total + 1
 
 
+async def test_an_exposure_in_progress_at_a_stop_rings_no_doorbell_after_the_answer() -> None:
+    exposing = ("camera.left.exposure_us=17500", "twin.camera.transfer_us=3000")  # nearly always
+    async with running_twin(*exposing) as twin:
+        with Eye(twin["cameras"]["left"]["socket"]) as eye:
+            await eye.open()
+            await eye.ask(do="start")
+            await eye.doorbell()
+            await eye.ask(do="stop")
+            with pytest.raises(TimeoutError):
+                async with asyncio.timeout(0.1):
+                    await eye.doorbell()
+        counts = (await control(twin, do="statistics"))["left"]
+        assert counts["exposed"] == counts["delivered"] + counts["dropped"]
+
+
 async def test_both_cameras_expose_at_the_same_instants() -> None:
     async with running_twin() as twin:
         with Eye(twin["cameras"]["left"]["socket"]) as left, Eye(twin["cameras"]["right"]["socket"]) as right:

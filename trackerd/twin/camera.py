@@ -27,7 +27,7 @@ BACKLOG = 3  # renders under way; another frame is lost, as in a camera whose bu
 @dataclass(slots=True)
 class Counts:
     delivered: int = 0
-    dropped: int = 0  # lost on purpose, or for want of a free buffer
+    dropped: int = 0  # lost on purpose, for want of a free buffer, or with the end of their stream
     overruns: int = 0  # rendered later than due
     worst_overrun_ns: int = 0
 
@@ -153,6 +153,8 @@ class TwinCamera:
         job.add_done_callback(partial(self._hand_over, exposure, self._stream))
 
     def _is_dropped(self, exposure: Exposure) -> bool:
+        if not self.line.started:  # it was in progress when the stream was stopped: the next stream's frames begin at 0
+            return True
         if self._drop:
             self._drop -= 1
             return True
@@ -179,6 +181,7 @@ class TwinCamera:
 
     def _ring(self, exposure: Exposure, stream: int, due: int, rendered: int) -> None:
         if stream != self._stream:
+            self.counts.dropped += 1
             return
         rung, s = time.monotonic_ns(), self.model.settings
         if rendered > due:
