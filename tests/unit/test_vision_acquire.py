@@ -1,5 +1,6 @@
 """Gate, tracker's box and search as one chain, and the OpenCV trackers behind their pitfalls."""
 
+import cv2
 import numpy as np
 import pytest
 from vision_pictures import NOISE, Ball
@@ -10,7 +11,7 @@ from trackerd.formats.settings import TrackingSettings
 from trackerd.vision.acquire import Acquisition, Expected
 from trackerd.vision.drift import Drift
 from trackerd.vision.locate import search
-from trackerd.vision.tracker import BoxTracker
+from trackerd.vision.tracker import KEPT_EVERY, BoxTracker
 
 BALL = Ball(clutter=True)
 
@@ -66,6 +67,22 @@ def test_a_tracker_that_was_never_started_or_has_forgotten_knows_nothing(kind: s
     tracker.start(BALL.noisy(0), circle(BALL))
     tracker.forget()
     assert tracker.update(BALL.noisy(0)) is None
+
+
+def test_few_images_are_copied_for_the_tracker_but_the_next_one_after_its_memory_was_used(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    copied: list[int] = []
+    resize = cv2.resize
+    monkeypatch.setattr(cv2, "resize", lambda *args, **named: copied.append(1) or resize(*args, **named))
+    tracker, image = BoxTracker("kcf"), BALL.noisy(0)
+    for _ in range(2 * KEPT_EVERY):
+        tracker.start(image, circle(BALL))
+    assert len(copied) == 2
+    assert tracker.update(image) is not None
+    copied.clear()
+    tracker.start(image, circle(BALL))
+    assert len(copied) == 1
 
 
 def test_a_ball_at_the_edge_of_the_picture_is_not_learnt() -> None:

@@ -16,8 +16,6 @@ from trackerd.geometry.rigid import Rigid, cross, rotation_about, rotation_about
 
 AIM_STEPS = 25
 AIM_TOLERANCE_PX = 1e-9
-UNIT_X = np.array((1.0, 0.0, 0.0))
-UNIT_Y = np.array((0.0, 1.0, 0.0))
 
 
 class AxisOrder(StrEnum):
@@ -33,6 +31,18 @@ class Axes:
     el: Array
     p_az_mm: Array
     p_el_mm: Array
+
+    def swing(self, p_world_mm: Array) -> Array:
+        """How a point that the camera's body carried would move, (3, 2): d p / d (az, el)."""
+        return np.array((cross(self.az, p_world_mm - self.p_az_mm), cross(self.el, p_world_mm - self.p_el_mm))).T
+
+
+@dataclass(frozen=True, slots=True)
+class Pose:
+    """A station at one pair of angles: where its camera and its axes are in W."""
+
+    world_from_camera: Rigid
+    axes: Axes
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,21 +64,24 @@ class Station:
     eps_rad: float = 0.0
     d_mm: float = 0.0
 
-    def world_from_camera(self, az_rad: float, el_rad: float) -> Rigid:
+    def pose(self, az_rad: float, el_rad: float) -> Pose:
         outer, inner = self._turns(az_rad, el_rad)
-        gimbal_from_rg = Rigid(outer @ inner, outer[:, 2] * self.d_mm)
-        return self.world_from_gimbal @ gimbal_from_rg @ self.rg_from_camera
+        w = self.world_from_gimbal
+        world_from_outer = w.rotation @ outer
+        d_inner = world_from_outer @ self._inner_axis()
+        p_outer_mm = w.translation_mm
+        p_inner_mm = p_outer_mm + world_from_outer[:, 2] * self.d_mm
+        if self.order is AxisOrder.AZ_OUTER:
+            axes = Axes(self.az_sign * w.rotation[:, 0], self.el_sign * d_inner, p_outer_mm, p_inner_mm)
+        else:
+            axes = Axes(self.az_sign * d_inner, self.el_sign * w.rotation[:, 1], p_inner_mm, p_outer_mm)
+        return Pose(Rigid(world_from_outer @ inner, p_inner_mm) @ self.rg_from_camera, axes)
+
+    def world_from_camera(self, az_rad: float, el_rad: float) -> Rigid:
+        return self.pose(az_rad, el_rad).world_from_camera
 
     def axes(self, az_rad: float, el_rad: float) -> Axes:
-        outer, _ = self._turns(az_rad, el_rad)
-        w = self.world_from_gimbal
-        p_outer = w.translation_mm
-        p_inner = w.move(outer[:, 2] * self.d_mm)
-        if self.order is AxisOrder.AZ_OUTER:
-            az, el = w.rotate(UNIT_X), w.rotate(outer @ self._inner_axis())
-            return Axes(self.az_sign * az, self.el_sign * el, p_outer, p_inner)
-        az, el = w.rotate(outer @ self._inner_axis()), w.rotate(UNIT_Y)
-        return Axes(self.az_sign * az, self.el_sign * el, p_inner, p_outer)
+        return self.pose(az_rad, el_rad).axes
 
     def pixel(self, p_world_mm: Array, az_rad: float, el_rad: float) -> Array:
         """Where a point of W is seen, (2,). The point must be in front of the camera."""
@@ -76,10 +89,10 @@ class Station:
 
     def pixel_jacobian(self, p_world_mm: Array, az_rad: float, el_rad: float) -> Array:
         """d pixel / d (az, el) of a point fixed in W, (2, 2)."""
-        camera_from_world = self.world_from_camera(az_rad, el_rad).inverse()
-        axes = self.axes(az_rad, el_rad)
-        swing = np.column_stack((-cross(axes.az, p_world_mm - axes.p_az_mm), -cross(axes.el, p_world_mm - axes.p_el_mm)))
-        return np.asarray(self.lens.jacobian(camera_from_world.move(p_world_mm)) @ camera_from_world.rotation @ swing)
+        pose = self.pose(az_rad, el_rad)
+        camera_from_world = pose.world_from_camera.inverse()
+        px_per_mm = self.lens.jacobian(camera_from_world.move(p_world_mm)) @ camera_from_world.rotation
+        return np.asarray(-px_per_mm @ pose.axes.swing(p_world_mm))
 
     def point_at(self, q_px: Array, az_rad: float, el_rad: float, range_mm: float) -> Array:
         """The point of W at `range_mm` from the entrance pupil that is seen at a pixel."""

@@ -30,8 +30,8 @@ class Lens:
 
     def normalise(self, q_px: Array) -> tuple[float, float]:
         """Undistorted coordinates on the plane at unit distance; Newton on the distortion."""
-        xd, yd = (q_px[0] - self.cx_px) / self.fx_px, (q_px[1] - self.cy_px) / self.fy_px
-        x, y = float(xd), float(yd)
+        xd, yd = (float(q_px[0]) - self.cx_px) / self.fx_px, (float(q_px[1]) - self.cy_px) / self.fy_px
+        x, y = xd, yd
         for _ in range(UNDISTORT_STEPS):
             xe, ye = self._distort(x, y)
             a, b, c, d = self._distortion_jacobian(x, y)
@@ -51,11 +51,16 @@ class Lens:
 
     def jacobian(self, p_camera_mm: Array) -> Array:
         """d pixel / d point, (2, 3)."""
-        z = float(p_camera_mm[2])
-        x, y = float(p_camera_mm[0]) / z, float(p_camera_mm[1]) / z
+        x, y, z = p_camera_mm.tolist()
+        x, y = x / z, y / z
         a, b, c, d = self._distortion_jacobian(x, y)
-        plane = np.array(((self.fx_px * a, self.fx_px * b), (self.fy_px * c, self.fy_px * d)))
-        return np.asarray(plane @ np.array(((1.0, 0.0, -x), (0.0, 1.0, -y))) / z)
+        a, b, c, d = self.fx_px * a / z, self.fx_px * b / z, self.fy_px * c / z, self.fy_px * d / z
+        return np.array(((a, b, -a * x - b * y), (c, d, -c * x - d * y)))
+
+    def area(self, x: float, y: float) -> float:
+        """Of a small patch of the plane at unit distance, at an undistorted point: px^2 on the sensor."""
+        a, b, c, d = self._distortion_jacobian(x, y)
+        return self.fx_px * self.fy_px * abs(a * d - b * c)
 
     def _distort(self, x: float, y: float) -> tuple[float, float]:
         k1, k2, p1, p2, k3 = self.distortion

@@ -49,7 +49,7 @@ def rotation_about_y(angle_rad: float) -> Array:
 
 def rotation_about(axis: Array, angle_rad: float) -> Array:
     """Active rotation about a unit axis (Rodrigues)."""
-    x, y, z = axis
+    x, y, z = axis.tolist()
     c, s = cos(angle_rad), sin(angle_rad)
     v = 1.0 - c
     return np.array(
@@ -101,7 +101,8 @@ def quaternion_from_matrix(rotation: Array) -> Array:
 
 def cross(a: Array, b: Array) -> Array:
     """a x b of two (3,) vectors; numpy's own costs twenty times as much for one pair."""
-    return np.array((a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]))
+    (ax, ay, az), (bx, by, bz) = a.tolist(), b.tolist()
+    return np.array((ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx))
 
 
 def skew(a: Array) -> Array:

@@ -56,15 +56,15 @@ def centre_and_range(q_px: Array, r_px: float, radius_mm: float, lens: Lens) -> 
     """Unit direction (3,) in C of the sphere's centre, and its range, from the outline's centre and r = sqrt(a b)."""
     xe, ye = lens.normalise(q_px)
     e2 = xe * xe + ye * ye
-    scale = lens.jacobian(np.array((xe, ye, 1.0)))[:, :2]
-    r2 = r_px * r_px / abs(float(scale[0, 0] * scale[1, 1] - scale[0, 1] * scale[1, 0]))  # a b on the unit plane
+    r2 = r_px * r_px / lens.area(xe, ye)  # a b on the unit plane
     b2 = r2
     for _ in range(4):  # a b = b^2 sqrt(1 + e^2 / (1 + b^2)) = r^2; converges by a factor of b^2 e^2 a step
         b2 = r2 / sqrt(1.0 + e2 / (1.0 + b2))
     px, py = xe / (1.0 + b2), ye / (1.0 + b2)
     n2 = 1.0 + px * px + py * py
     sin_alpha = sqrt(b2 / ((1.0 + b2) * n2))
-    return np.array((px, py, 1.0)) / sqrt(n2), radius_mm / sin_alpha
+    n = sqrt(n2)
+    return np.array((px / n, py / n, 1.0 / n)), radius_mm / sin_alpha
 
 
 def _shape(xe: float, ye: float, a2: float, b2: float) -> Array:

@@ -1,8 +1,8 @@
 """OpenCV's trackers as a second hypothesis: where to look when prediction fails. Precision comes from the fit alone.
 
-A tracker learns from the last verified outline, but lazily: `start` only keeps a small copy of that image (0.1 ms), and the
+A tracker learns from a verified outline, but lazily: `start` only keeps a small copy of every fourth image (0.1 ms), and the
 work (5 ms for KCF, then 0.6 ms a frame) is spent when `update` is called: in the frames in which the gated fit missed. So its
-memory is never older than the last verified outline, and it costs nothing while all is well.
+memory is hardly older than the last verified outline, and it costs next to nothing while all is well.
 
 KCF: grey descriptors only (its default throws on grey images), and one update on the frame it was started on, without which
 it carries a constant offset of the motion up to the first update. It was the only one whose "lost" was always true; MOSSE
@@ -24,6 +24,7 @@ Kind = Literal["kcf", "mosse", "csrt", "none"]
 SCALE: dict[Kind, int] = {"kcf": 4, "mosse": 1, "csrt": 4, "none": 1}  # MOSSE loses the target at once at quarter size
 BOX_RADII: dict[Kind, float] = {"kcf": 2.4, "mosse": 3.0, "csrt": 2.4, "none": 2.4}  # side of the box; MOSSE needs surroundings
 SMALLEST_SIDE_PX = 8
+KEPT_EVERY = 4  # a ball that crosses the image moves by less than its radius meanwhile
 
 
 class BoxTracker:
@@ -33,14 +34,19 @@ class BoxTracker:
         self._kind = kind
         self._scale = SCALE[kind]
         self._seen: tuple[Image, Circle] | None = None  # small image and circle in it, not yet learnt
+        self._since = 0  # outlines since that one
         self._tracker: Any = None
         self._side_px = 0.0
         self._r_px = 0.0
 
     def start(self, image: Image, circle: Circle) -> None:
-        """Learn a ball (x, y, r) as seen in this image; the image may be reused afterwards."""
+        """A ball (x, y, r) as seen in this image, to be learnt; the image may be reused afterwards."""
         if self._kind == "none":
             return
+        self._since += 1
+        if self._seen is not None and self._since < KEPT_EVERY:
+            return
+        self._since = 0
         x, y, r = circle
         k = self._scale
         small = _shrink(image, k)

@@ -1,5 +1,7 @@
 """Whether a fit is an outline: enough of it carries an edge that is strong, well placed and on the circle."""
 
+from math import inf
+
 import numpy as np
 
 from trackerd.contract.model import Found, Missed, Outline
@@ -17,14 +19,13 @@ POOR_CHI2 = 12.0  # a sector that looks like no edge at all
 def verified(fit: CircleFit, noise: NoiseModel, least_coverage: float) -> Outline:
     if not fit.settled:
         return Missed("the circle fit did not settle")
-    coverage = float(edge_sectors(fit.sectors, noise).mean())
+    coverage = np.count_nonzero(edge_sectors(fit.sectors, noise)) / len(fit.weight)
     if coverage < least_coverage:
         return Missed(f"only {100 * coverage:.0f} % of the outline carry an edge ({100 * least_coverage:.0f} % needed)")
-    variance = np.diag(fit.cov_px2)
-    if not (np.isfinite(variance).all() and (variance > 0.0).all()):
+    if not all(0.0 < variance < inf for variance in fit.cov_px2.diagonal().tolist()):
         return Missed("the outline does not determine a circle")
-    used = fit.weight > 0.0
-    chi2 = float(np.average(fit.sectors.chi2[used], weights=fit.weight[used])) if used.any() else 0.0
+    weight = float(fit.weight.sum())
+    chi2 = float(fit.sectors.chi2 @ fit.weight) / weight if weight > 0.0 else 0.0
     return Found(fit.x_px, fit.y_px, fit.r_px, fit.cov_px2, coverage, chi2, fit.clipped)
 
 
