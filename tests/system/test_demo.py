@@ -55,7 +55,7 @@ def test_it_is_locked_within_three_seconds_of_ready(demo: Cell) -> None:
 
 def test_fixes_of_a_still_probe_are_where_it_is(demo: Cell) -> None:
     fixes = valid(still(demo))
-    assert len(fixes) > 100
+    assert len(fixes) > 50
     assert rms(demo.errors_mm(fixes)) < 0.07
 
 
@@ -99,10 +99,11 @@ def test_a_position_says_all_that_a_robot_needs(demo: Cell) -> None:
         assert (m["schema"], m["source"], m["calibration_id"]) == (POSITION_SCHEMA, "twin", "demo-1")
         assert (m["frame"], m["unit"], m["point"]) == ("W", "mm", "sphere_centre")
         assert m["valid"] == (not m["reasons"])
-        assert m["t_unix_ns"] < m["t_received_unix_ns"] <= m["t_published_unix_ns"] or m["state"] == "coasting"
+        assert m["t_received_unix_ns"] <= m["t_published_unix_ns"]
         assert abs(m["valid_until_unix_ns"] - m["t_unix_ns"] - 3 * FRAME_NS) < 1e6
     for m in valid(on_the_circle(demo)):
         assert m["state"] == "tracking"
+        assert m["t_unix_ns"] < m["t_received_unix_ns"]
         assert m["stations"] == ["left", "right"]
         assert np.linalg.eigvalsh(m["covariance_mm2"]).min() > 0.0
         assert 0.0 <= m["miss_mm"] < 0.5
