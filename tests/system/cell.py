@@ -30,6 +30,7 @@ WATCHDOG_US = 2_000_000
 
 # Where the fixes are is judged, not that no cycle is late on a machine that others use too: with these a stop of some 100 ms
 # costs fixes, but not the axes, which would have to be proved anew on a target that stands still.
+LONG_DWELL = "twin.path.dwell_s=7.5"  # the axes are proved before the probe sets off, on a busy machine too
 PATIENT = tuple(
     f"gimbal.{name}.{key}"
     for name in ("left", "right")

@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 
 import pytest
-from system.cell import PATIENT, Cell, running_cell
+from system.cell import LONG_DWELL, PATIENT, Cell, running_cell
 
 
 @pytest.fixture(scope="module")
@@ -25,7 +25,7 @@ def following(still_cell: Cell) -> Cell:
 @pytest.fixture(scope="module")
 def slow_cell() -> Iterator[Cell]:
     """The probe moves: a position that is older than it says is wrong soon, and the probe is still in view after a second."""
-    with running_cell("twin.path.radius_mm=60", "twin.path.speed_mm_s=8", *PATIENT) as cell:
+    with running_cell("twin.path.radius_mm=60", "twin.path.speed_mm_s=8", LONG_DWELL, *PATIENT) as cell:
         cell.axes("following")
         cell.wait("truth", lambda m: abs(m["velocity_mm_s"][0]) + abs(m["velocity_mm_s"][1]) > 7.9)
         yield cell

@@ -5,7 +5,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 import pytest
-from system.cell import PATIENT, Cell, Message, rms, running_cell
+from system.cell import LONG_DWELL, PATIENT, Cell, Message, rms, running_cell
 
 from trackerd.formats.wire import POSITION_SCHEMA, STATUS_SCHEMA
 
@@ -23,7 +23,7 @@ POSITION_KEYS = {
 @pytest.fixture(scope="module")
 def demo() -> Iterator[Cell]:
     """All of it is over when the tests begin: still, the axes' test, a round of the circle."""
-    with running_cell(*PATIENT) as cell:
+    with running_cell(LONG_DWELL, *PATIENT) as cell:
         cell.axes("following")
         end = leaves(cell) + round((RAMP_S + CIRCLE_S) * 1e9)
         cell.wait("truth", lambda m: m["t_unix_ns"] > end)

@@ -9,6 +9,7 @@ import psutil
 from system.cell import (
     DEADLINE_S,
     DEMO,
+    LONG_DWELL,
     PATIENT,
     Cell,
     ask_twin,
@@ -81,7 +82,7 @@ def test_nothing_moves_before_the_operator_arms() -> None:
 
 
 def test_a_killed_daemon_leaves_the_axes_held_and_a_twin_that_ends() -> None:
-    with running_cell("twin.path.speed_mm_s=100", *PATIENT) as cell:
+    with running_cell("twin.path.speed_mm_s=100", LONG_DWELL, *PATIENT) as cell:
         cell.axes("following")
         cell.wait("truth", lambda m: max(map(abs, m["velocity_mm_s"])) > 70.0)
         where = cell.twin()
