@@ -1,7 +1,8 @@
 """The daemon's memory: small, and out of the collector's way.
 
-glibc gives each thread an arena of its own, up to eight a core, and what a start-up has freed stays with the process: both cost a
-daemon of twenty threads some 30 MB (mallopt(3), malloc_trim(3)). Other C libraries have neither call, and lack nothing.
+glibc gives each thread an arena of its own, up to eight a core, and what a start-up has freed stays with the process: together
+they cost a daemon of twenty threads some 30 MB (mallopt(3), malloc_trim(3)). Other C libraries have neither call, and lack
+nothing.
 """
 
 import ctypes
