@@ -25,13 +25,21 @@ def test_nothing_is_predicted_before_anything_was_seen() -> None:
     assert Motion().predict(HostNs(0)) is None
 
 
-@pytest.mark.parametrize("frames", [1, 2])
-def test_rates_are_zero_until_three_samples(frames: int) -> None:
+@pytest.mark.parametrize(("frames", "rad_s"), [(1, 0.3), (2, 0.0002)])
+def test_rates_are_zero_until_two_samples_stand_out_of_their_noise(frames: int, rad_s: float) -> None:
     motion = Motion()
-    last = fed(motion, lambda t: (0.1 + 0.2 * t, 0.3 * t), frames)
+    last = fed(motion, lambda t: (0.1, rad_s * t), frames)
     predicted = motion.predict(HostNs(last + FRAME_NS))
     assert predicted is not None
     assert (predicted.az_rad_s, predicted.el_rad_s) == (0.0, 0.0)
+
+
+def test_a_target_that_flies_through_the_view_has_its_rate_after_two_samples() -> None:
+    motion = Motion()
+    last = fed(motion, lambda t: (0.1, 0.12 * t), 2)
+    predicted = motion.predict(HostNs(last + FRAME_NS))
+    assert predicted is not None
+    assert predicted.el_rad_s == pytest.approx(0.12, rel=0.1)
 
 
 def test_a_constant_velocity_is_known_after_three_samples() -> None:

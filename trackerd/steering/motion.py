@@ -15,7 +15,7 @@ from trackerd.contract.model import Array
 MEASURED_RAD = 1.2e-5  # 2.5 arcsec: encoder repeatability and a tenth of a pixel
 JERK_RAD2_S5 = 0.1  # power of the jerk's white noise: 0.5 rad/s^2 at 3 rad/s stays within 7 px of 6.6 arcsec, 30 ms late
 UNKNOWN_RAD_S, UNKNOWN_RAD_S2 = 2.0, 3.0  # before anything is known
-HONEST_SAMPLES = 3  # fewer tell no velocity: two noisy angles 18 ms apart are 0.5 mrad/s off, or two different things
+HONEST_SAMPLES = 2  # and what they tell has to stand out of their noise: a probe that flies through the view is caught
 STEADY_SAMPLES = 6  # fewer tell no acceleration
 STILL_SIGMA = 4.0  # rates and accelerations below this, two of each, are taken for noise
 LONGEST_GAP_S = 0.5
@@ -67,7 +67,7 @@ class Motion:
         self._samples += 1
 
     def predict(self, instant: HostNs) -> Predicted | None:
-        """Angles and rates at an instant, rates 0 until three samples have been seen. None: nothing has been seen."""
+        """Angles and rates at an instant, rates 0 until two samples have been seen. None: nothing has been seen."""
         if self._instant is None:
             return None
         dt_s = (instant - self._instant) * 1e-9
