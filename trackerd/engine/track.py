@@ -23,6 +23,7 @@ from trackerd.vision.noise import NoiseModel
 
 CONFIRMED = 2  # consistent outlines in a row that make a lock
 LONGEST_DELAY_NS = 200_000_000  # a frame that arrived later than this after its exposure is no base for a set-point's instant
+BLIND_FRAMES = 3  # the axes are led on for so many without sight: farther out on a tangent, a probe that comes round is not met
 
 Pixel = tuple[float, float]
 Selected = Literal["pixel", "itself"]
@@ -69,6 +70,7 @@ class Tracker:
         self._radius_mm = radius_mm
         self._steering = steering
         self._coast_frames = tracking.coast_frames
+        self._led_blindly = min(tracking.coast_frames, BLIND_FRAMES)
         self._lead_ns = round(0.5e9 / camera.frame_rate_hz)  # a set-point is in use until the next: it fits best half-way
         self._acquisition = Acquisition(NoiseModel(camera.gain_e_per_dn, camera.read_noise_e), tracking)
         self._motion = Motion()
@@ -205,7 +207,7 @@ class Tracker:
         previous = self._set_point
         if view is None:
             self._blind += 1
-            return None if previous is None or self._blind > self._coast_frames else previous.moved_to(at)
+            return None if previous is None or self._blind > self._led_blindly else previous.moved_to(at)
         self._blind = 0
         steering = self._steering
         predict = self._motion.predict if steering.feed_forward else None
