@@ -23,7 +23,7 @@ from trackerd.vision.noise import NoiseModel
 
 CONFIRMED = 2  # consistent outlines in a row that make a lock
 LONGEST_DELAY_NS = 200_000_000  # a frame that arrived later than this after its exposure is no base for a set-point's instant
-BLIND_FRAMES = 3  # the axes are led on for so many without sight: farther out on a tangent, a probe that comes round is not met
+BLIND_FRAMES = 3  # the axes are led on without sight: farther out on a tangent, a probe that comes round is not met
 
 Pixel = tuple[float, float]
 Selected = Literal["pixel", "itself"]
