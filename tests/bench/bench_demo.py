@@ -190,7 +190,10 @@ def frames(run: Demo) -> Figures:
     delivered = [run.exposed[name]["exposed"] - run.exposed[name]["dropped"] for name in GIMBALS]
     missing = [count - f["processed"] - f["skipped"] for count, f in zip(delivered, told, strict=True)]
     figures.add("not accounted for", *sorted(map(abs, missing), reverse=True), most=0.0)
-    for what, key in (("dropped by the twin, or cut off where a stream was stopped", "dropped"), ("doorbells that nobody took", "missed_doorbells")):
+    for what, key in (
+        ("dropped by the twin, or cut off where a stream was stopped", "dropped"),
+        ("doorbells that nobody took", "missed_doorbells"),
+    ):
         figures.add(what, *(run.exposed[name][key] for name in GIMBALS))
     figures.add("rendered too late by the twin", *(run.exposed[name]["overruns"] for name in GIMBALS))
     figures.add("the latest of them by", *(run.exposed[name]["worst_overrun_ns"] * 1e-6 for name in GIMBALS), unit="ms")
