@@ -67,6 +67,21 @@ def test_the_fixed_part_is_carried_into_a_systematic_covariance() -> None:
     assert 0.93 < nees(errors, np.broadcast_to(systematic, (len(errors), 3, 3))) < 1.07
 
 
+def test_a_line_that_is_sharp_one_way_only_does_not_blow_the_fixed_part_up() -> None:
+    """Random parts that are 100 times sharper upwards than sidewards (a moving target's instants), a fixed part alike all round."""
+
+    def systematic(sharp: float) -> float:
+        lines = []
+        for station in PAIR:
+            exact = line(still, station, 0)
+            across = np.eye(3) - np.outer(exact.direction, exact.direction)
+            random = 0.05**2 * ARCSEC**2 * across @ np.diag((1.0, sharp**2, 1.0)) @ across
+            lines.append(replace(exact, cov_rad2=random, fixed_cov_rad2=4.0 * ARCSEC**2 * across))
+        return float(np.sqrt(triangulate(lines).systematic_cov_mm2.trace()))
+
+    assert systematic(0.01) < 1.01 * systematic(1.0)
+
+
 def test_the_miss_distance_of_two_lines_is_the_gap_between_them() -> None:
     left, right = lines_of(PAIR)
     raised = replace(right, origin_mm=right.origin_mm + np.array((0.0, 3.0, 0.0)))

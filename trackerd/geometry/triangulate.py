@@ -23,7 +23,7 @@ class Point:
     systematic_cov_mm2: Array  # (3, 3), from the lines' fixed parts
     miss_mm: float
     miss_sigma_mm: float  # 1 sigma of the miss distance, both parts
-    chi2: float  # of the random part
+    chi2: float  # of both parts
     dof: int
     ranges_mm: Array  # (K,) from each entrance pupil
 
@@ -32,13 +32,16 @@ class Point:
 class _Bundle:
     origins_mm: Array  # (K, 3)
     directions: Array  # (K, 3)
-    information: Array  # (K, 3, 3) per rad^2, rank 2: the pseudo-inverse of the covariance
-    cov_rad2: Array  # (K, 3, 3) both parts
+    information: Array  # (K, 3, 3) per rad^2, rank 2: the pseudo-inverse of both parts' covariance
+    random_cov_rad2: Array  # (K, 3, 3)
     fixed_cov_rad2: Array  # (K, 3, 3)
 
 
 def triangulate(lines: Sequence[Sightline]) -> Point:
     """Point nearest to all lines of sight, each weighted by its angular covariance times its range squared.
+
+    Both parts of the covariance weigh: by the random part alone, a line that is sharp in one direction only would be believed
+    there beyond what its encoders know, and the geometry would blow the fixed part up.
 
     Generalises Eqs 3.14-3.17 of the source thesis, which weigh all lines alike; reweighted with the ranges of its own
     solution it is the maximum-likelihood point to first order in the angular noise. Raises Degenerate below two lines, where
@@ -49,14 +52,16 @@ def triangulate(lines: Sequence[Sightline]) -> Point:
     for _ in range(STEPS):
         p_mm = _solve(bundle, ranges)[0]
         ranges = np.sqrt(((p_mm - bundle.origins_mm) ** 2).sum(axis=1))
-    p_mm, cov, weights = _solve(bundle, ranges)
+    p_mm, total, weights = _solve(bundle, ranges)
     offsets = p_mm - bundle.origins_mm
     along = (offsets * bundle.directions).sum(axis=1)
     if not along.min() > 0.0:  # also where it is not a number
         raise Degenerate(f"the lines meet behind the camera of station {lines[int(np.argmin(along))].station}")
-    gains = cov @ weights  # (K, 3, 3): d point / d offset of line k
+    gains = total @ weights  # (K, 3, 3): d point / d offset of line k
     gains *= ranges[:, None, None]
-    systematic = (gains @ bundle.fixed_cov_rad2 @ gains.transpose(0, 2, 1)).sum(axis=0)
+    turned = gains.transpose(0, 2, 1)
+    cov = (gains @ bundle.random_cov_rad2 @ turned).sum(axis=0)
+    systematic = (gains @ bundle.fixed_cov_rad2 @ turned).sum(axis=0)
     chi2 = float((offsets[:, None, :] @ weights @ offsets[:, :, None]).sum())
     miss, sigma = _miss(bundle, offsets, along, ranges)
     return Point(p_mm, cov, systematic, miss, sigma, chi2, 2 * len(lines) - 3, ranges)
@@ -73,7 +78,7 @@ def _bundle(lines: Sequence[Sightline]) -> _Bundle:
         raise Degenerate("a line of sight is not finite")
     if np.abs(directions @ directions.T).min() > COS_PARALLEL:
         raise Degenerate("all lines of sight are within 1 deg of parallel")
-    return _Bundle(origins, directions, _information(random, directions), random + fixed, fixed)
+    return _Bundle(origins, directions, _information(random + fixed, directions), random, fixed)
 
 
 def _information(cov_rad2: Array, directions: Array) -> Array:
@@ -108,8 +113,8 @@ def _miss(bundle: _Bundle, offsets: Array, along: Array, ranges_mm: Array) -> tu
     if len(offsets) == 2:
         normal = cross(bundle.directions[0], bundle.directions[1])
         normal /= sqrt(float(normal @ normal))
-        variance = float((ranges_mm**2 * (normal @ bundle.cov_rad2 @ normal)).sum())
+        variance = float((ranges_mm**2 * (normal @ (bundle.random_cov_rad2 + bundle.fixed_cov_rad2) @ normal)).sum())
         return abs(float(normal @ (bundle.origins_mm[1] - bundle.origins_mm[0]))), sqrt(variance)
     across = offsets - along[:, None] * bundle.directions
-    spread = ranges_mm**2 * bundle.cov_rad2.trace(axis1=1, axis2=2)
+    spread = ranges_mm**2 * (bundle.random_cov_rad2 + bundle.fixed_cov_rad2).trace(axis1=1, axis2=2)
     return sqrt(float((across**2).sum()) / len(offsets)), sqrt(float(spread.mean()))
