@@ -68,7 +68,7 @@ def test_the_fixed_part_is_carried_into_a_systematic_covariance() -> None:
 
 
 def test_a_line_that_is_sharp_one_way_only_does_not_blow_the_fixed_part_up() -> None:
-    """Random parts that are 100 times sharper upwards than sidewards (a moving target's instants), a fixed part alike all round."""
+    """Random parts 100 times sharper upwards than sidewards (a moving target's instants), a fixed part alike all round."""
 
     def systematic(sharp: float) -> float:
         lines = []
