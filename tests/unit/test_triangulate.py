@@ -6,7 +6,7 @@ import pytest
 from made_lines import ARCSEC, CENTRE, STATIONS, line, nees, still
 
 from trackerd.contract.errors import Degenerate
-from trackerd.contract.model import Sightline
+from trackerd.contract.model import Array, Sightline
 from trackerd.geometry.triangulate import triangulate
 
 PAIR = ("left", "right")
@@ -68,12 +68,16 @@ def test_the_fixed_part_is_carried_into_a_systematic_covariance() -> None:
 
 
 def test_a_line_that_is_sharp_one_way_only_does_not_blow_the_fixed_part_up() -> None:
-    """Random parts 100 times sharper upwards than sidewards (a moving target's instants), a fixed part alike all round."""
+    """Random parts 100 times sharper upwards than sidewards (the instants of a target that moves sidewards), a fixed part alike
+    all round, and a target below the stations: what is upwards there tells of the depth, four times worse than sidewards."""
+
+    def below(t_s: float) -> Array:
+        return still(t_s) - np.array((0.0, 150.0, 0.0))
 
     def systematic(sharp: float) -> float:
         lines = []
         for station in PAIR:
-            exact = line(still, station, 0)
+            exact = line(below, station, 0)
             across = np.eye(3) - np.outer(exact.direction, exact.direction)
             random = 0.05**2 * ARCSEC**2 * across @ np.diag((1.0, sharp**2, 1.0)) @ across
             lines.append(replace(exact, cov_rad2=random, fixed_cov_rad2=4.0 * ARCSEC**2 * across))
