@@ -1,7 +1,7 @@
 """What encoders whose error is a function of the angle cost: position error over many encoders, without any other error.
 
 Each seed is another set of encoders in the demo's cell. Nothing is averaged or filtered, and nothing of it is absorbed by a
-calibration: a still target has one error for ever, whose size is a matter of luck, and the circle's is the mean over its places.
+calibration: a still target has one error for ever, whose size is a matter of luck; the circle's is the mean over its places.
 
     python tests/bench/bench_encoder.py [--seeds 40]
 """

@@ -82,7 +82,7 @@ class AxesLink:
                 return angles
             if cycle < LATCH_CYCLES:
                 await self._next_report()
-        self._out_of_step()
+        self._not_matched()
         return NoAngle(f"its latch did not come within {LATCH_CYCLES} bus cycles")
 
     async def zero_latch(self) -> None:
@@ -103,6 +103,12 @@ class AxesLink:
         if self._latched is not None:
             self._latched.renumbered()
         self._unmatched = 0
+
+    def out_of_step(self, reason: str) -> None:
+        """Frames and latches have to be numbered anew."""
+        log.warning("frames and latches of %s are out of step, and numbered anew: %s", self.name, reason)
+        self._unmatched = 0
+        self.epoch += 1
 
     def seen(self, step: Step) -> None:
         self._axes.seen(step)
@@ -157,13 +163,11 @@ class AxesLink:
             self._first_zero = sequence
         return (echo - self._first_zero) % SEQUENCES <= (sequence - self._first_zero) % SEQUENCES
 
-    def _out_of_step(self) -> None:
-        """Latches come, but never the one that is asked for: frames and latches have to be numbered anew."""
+    def _not_matched(self) -> None:
+        """Latches come, but never the one that is asked for."""
         self._unmatched += 1
         if self._unmatched >= OUT_OF_STEP_FRAMES:
-            log.warning("frames and latches of %s are out of step: both are numbered anew", self.name)
-            self._unmatched = 0
-            self.epoch += 1
+            self.out_of_step("latches come, but not the frames'")
 
     async def _farewell(self, gimbal: Gimbal) -> None:
         """Held, not disabled: an EL axis that carries an eccentric camera falls when it is disabled."""

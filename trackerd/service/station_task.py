@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from trackerd.contract.clock import Clock, ClockKind, HostNs
 from trackerd.contract.model import AxisAngles, CameraStatistics, Frame, NoAngle, TrackState
 from trackerd.contract.ports import Camera
+from trackerd.engine.delay import DelayWatch
 from trackerd.engine.latched import RecordingTime
 from trackerd.engine.track import Step, Tracker
 from trackerd.estimate.clockfit import OneWayFit
@@ -59,15 +60,18 @@ class StationTask:
     async def run(self, camera: Camera) -> None:
         """Until cancelled, the stream breaks (DeviceError) or a recording ends. Each pass numbers frames and latches anew."""
         times = CameraTimes(camera, self._recording)
+        info = camera.info
+        delays = DelayWatch(info.exposure_ns, info.transfer_ns, round(1e9 / info.frame_rate_hz))
         earlier = self.counts.skipped, self.counts.dropped
         with Worker(f"track-{self.name}") as worker:
             while True:
                 await camera.stop()
                 await self._link.zero_latch()
                 epoch = self._link.epoch
+                delays.reset()
                 await camera.start()
                 async for frame in camera.frames():
-                    await self._process(frame, times, worker)
+                    await self._process(frame, times, delays, worker)
                     self._count_missing(camera.statistics(), *earlier)
                     if self._link.epoch != epoch:
                         break
@@ -77,8 +81,8 @@ class StationTask:
         self.state = TrackState.SEARCHING
         self._link.unseen()
 
-    async def _process(self, frame: Frame, times: "CameraTimes", worker: Worker) -> None:
-        angles = await self._link.latched_at(frame)
+    async def _process(self, frame: Frame, times: "CameraTimes", delays: DelayWatch, worker: Worker) -> None:
+        angles = self._of_this_exposure(frame, await self._link.latched_at(frame), delays)
         known = self._clock.now()
         instants = times.instants(frame, angles)
         step, work_ns = await worker.run(self._timed_step, frame, angles, instants)
@@ -88,6 +92,15 @@ class StationTask:
         self.stages.angles.add(known - frame.arrived)
         self.stages.work.add(work_ns)
         self.stages.tracked.add(self._clock.now() - frame.arrived)
+
+    def _of_this_exposure(self, frame: Frame, angles: AxisAngles | NoAngle, delays: DelayWatch) -> AxisAngles | NoAngle:
+        if isinstance(angles, NoAngle) or angles.source != "latch" or angles.instant is None:
+            return angles
+        objection = delays.objection(frame.arrived - angles.instant)
+        if not objection:
+            return angles
+        self._link.out_of_step(objection)
+        return NoAngle(objection)
 
     def _timed_step(self, frame: Frame, angles: AxisAngles | NoAngle, instants: Instants) -> tuple[Step, int]:
         began = self._clock.now()
