@@ -61,7 +61,31 @@ class CameraSettings(Settings):
         return self
 
 
-class SteeringSettings(Settings):
+class TravelSettings(Settings):
+    """How far both axes may go, as the encoders count."""
+
+    az_limits_deg: DegreeRange
+    el_limits_deg: DegreeRange
+
+    @field_validator("az_limits_deg", "el_limits_deg")
+    @classmethod
+    def _ordered(cls, value: DegreeRange) -> DegreeRange:
+        if not value[0] < value[1]:
+            raise ValueError("the lower limit must be below the upper one")
+        if max(map(abs, value)) > 360.0:
+            raise ValueError("must lie within -360 and 360 degrees")
+        return value
+
+    @property
+    def az_limits_rad(self) -> tuple[float, float]:
+        return radians(self.az_limits_deg[0]), radians(self.az_limits_deg[1])
+
+    @property
+    def el_limits_rad(self) -> tuple[float, float]:
+        return radians(self.el_limits_deg[0]), radians(self.el_limits_deg[1])
+
+
+class SteeringSettings(TravelSettings):
     """The loop from pixel offset to axis command, and its limits."""
 
     gain: Annotated[float, Field(gt=0, le=1)] = 0.7
@@ -79,15 +103,6 @@ class SteeringSettings(Settings):
     diverge_frames: Annotated[int, Field(ge=3, le=1000)] = 10
     watchdog_ms: Annotated[int, Field(ge=5, le=1000)] = 50
 
-    @field_validator("az_limits_deg", "el_limits_deg")
-    @classmethod
-    def _ordered(cls, value: DegreeRange) -> DegreeRange:
-        if not value[0] < value[1]:
-            raise ValueError("the lower limit must be below the upper one")
-        if max(map(abs, value)) > 360.0:
-            raise ValueError("must lie within -360 and 360 degrees")
-        return value
-
     @model_validator(mode="after")
     def _room_for_the_test(self) -> Self:
         for key in ("az_limits_deg", "el_limits_deg"):
@@ -97,14 +112,6 @@ class SteeringSettings(Settings):
                     key, f"leaves no room for the test of the axes by test_deg = {self.test_deg:g} to both sides"
                 )
         return self
-
-    @property
-    def az_limits_rad(self) -> tuple[float, float]:
-        return radians(self.az_limits_deg[0]), radians(self.az_limits_deg[1])
-
-    @property
-    def el_limits_rad(self) -> tuple[float, float]:
-        return radians(self.el_limits_deg[0]), radians(self.el_limits_deg[1])
 
 
 class TrackingSettings(Settings):

@@ -3,12 +3,12 @@
 Names of gimbals and cameras are those of the cell; who is not named has the defaults.
 """
 
-from math import hypot, radians
+from math import hypot
 from typing import Annotated, Literal, Self
 
 from pydantic import Field, field_validator, model_validator
 
-from trackerd.formats.settings import ARCSEC, DegreeRange, NotNegative, Pixel, Positive, Settings
+from trackerd.formats.settings import ARCSEC, DegreeRange, NotNegative, Pixel, Positive, Settings, TravelSettings
 
 Vector = tuple[float, float, float]
 Sign = Literal[-1, 1]
@@ -36,7 +36,7 @@ class PathSettings(Settings):
         return value
 
 
-class AxesSettings(Settings):
+class AxesSettings(TravelSettings):
     """Both servo axes of every gimbal; angles as the controller counts them."""
 
     max_deg_s: Annotated[float, Field(gt=0, le=720)] = 60.0
@@ -45,21 +45,6 @@ class AxesSettings(Settings):
     damping: Annotated[float, Field(ge=0.5, le=2)] = 1.0
     az_limits_deg: DegreeRange = (-75.0, 75.0)
     el_limits_deg: DegreeRange = (-75.0, 75.0)
-
-    @field_validator("az_limits_deg", "el_limits_deg")
-    @classmethod
-    def _ordered(cls, value: DegreeRange) -> DegreeRange:
-        if not value[0] < value[1]:
-            raise ValueError("the lower limit must be below the upper one")
-        return value
-
-    @property
-    def az_limits_rad(self) -> tuple[float, float]:
-        return radians(self.az_limits_deg[0]), radians(self.az_limits_deg[1])
-
-    @property
-    def el_limits_rad(self) -> tuple[float, float]:
-        return radians(self.el_limits_deg[0]), radians(self.el_limits_deg[1])
 
 
 class EncoderSettings(Settings):
