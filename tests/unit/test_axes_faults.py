@@ -3,7 +3,7 @@
 import pytest
 from closed_loop import MS, ClosedLoop, circling, quick
 
-from trackerd.contract.model import AxisMode, GimbalFlag
+from trackerd.contract.model import AxisMode, GimbalFlag, TrackState
 from trackerd.engine.axes import MOST_FAULTS, AxesState
 
 FOLLOWING, HELD = AxesState.FOLLOWING, AxesState.HELD
@@ -201,11 +201,27 @@ def test_without_frames_the_axes_ramp_to_rest_and_hold_there() -> None:
     assert loop.commands[-1][1].mode is AxisMode.POSITION  # the heartbeat goes on, at rest
 
 
+@pytest.mark.parametrize("hidden_s", [0.8, 2.1])
+def test_after_a_loss_the_axes_wait_where_the_probe_was_last_seen_and_meet_it_there(hidden_s: float) -> None:
+    loop = circling().run(3.3)
+    seen_deg = loop.cycles[-1].turned_deg
+    loop.hidden = True
+    loop.run(hidden_s)
+    waiting = loop.cycles[-1]
+    assert waiting.fastest_deg_s < 0.05
+    assert waiting.turned_deg == pytest.approx(seen_deg, abs=0.4)  # 7 deg/s, and at most 50 ms until the last frame
+    loop.hidden = False
+    loop.until(lambda loop: loop.steps[-1].state is TrackState.LOCKED, 8.0)  # it comes round every 3.8 s
+    loop.run(0.5)
+    assert loop.steps[-1].state is TrackState.LOCKED
+    assert loop.cycles[-1].fastest_deg_s > 3.0
+
+
 def test_without_angles_a_motion_is_not_carried_on_for_long() -> None:
     loop = circling().run(3.3)
     loop.angles_fail = "its latch did not come"
     since_ns = loop.now_ns
-    loop.run(0.6)
+    loop.run(1.0)  # out on the tangent, and back to where the probe was last seen
     assert loop.cycles[-1].fastest_deg_s < 0.05
     assert loop.excursion_deg(since_ns) < 3.0
 

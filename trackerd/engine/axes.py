@@ -68,6 +68,7 @@ class Axes:
         self._proof = Proof(steering)
         self._proved: tuple[str, GimbalReport] | None = None  # serial and last word of a controller that went away
         self._set_point: SetPoint | None = None
+        self._last_sight: tuple[float, float] | None = None  # the axes when they last saw the target, while following
         self._commanded: HostNs | None = None
         self._step: Step | None = None
         self._divergence = DivergenceWatch(steering.diverge_frames)
@@ -133,6 +134,8 @@ class Axes:
             self._judge(self._proof.seen(step))
         elif self._state is AxesState.FOLLOWING:
             self._set_point = step.set_point or self._set_point
+            if step.state is TrackState.LOCKED and step.angles is not None:
+                self._last_sight = (step.angles.az_rad, step.angles.el_rad)
             diverges = self._divergence.diverges(step)
             if diverges:
                 self._proof.forget()
@@ -231,7 +234,7 @@ class Axes:
             self._stop(trouble)
 
     def _stop(self, reason: str) -> None:
-        self._reason, self._set_point = reason, None
+        self._reason, self._set_point, self._last_sight = reason, None, None
         self._divergence.reset()
         if self._steerable:
             self._state = AxesState.HELD
@@ -266,9 +269,14 @@ class Axes:
             self.hold(self._proof.reason)
 
     def _next_point(self, now: HostNs, dt_s: float) -> Point:
+        """After the set-point; without one back to where the target was last seen, which it may pass again: a target that is
+        lost while it moves leaves the axes ahead on a tangent of its path. Without frames they just stop."""
         point = self._set_point
         if point is None or now - point.at > SET_POINT_LIFE_NS:
             self._set_point = None
+            searching = self._step is not None and self._step.state is TrackState.SEARCHING and self._is_fresh(self._step)
+            if searching and self._last_sight is not None:
+                return self._limiter.step(*self._last_sight, 0.0, 0.0, dt_s)
             return self._limiter.stop_step(dt_s)
         target = point.moved_to(now)
         return self._limiter.step(target.az_rad, target.el_rad, target.az_rad_s, target.el_rad_s, dt_s)
