@@ -8,8 +8,9 @@ nothing.
 import ctypes
 import gc
 
-M_ARENA_MAX = -8
+M_ARENA_MAX, M_MMAP_THRESHOLD = -8, -3
 ARENAS = 2
+OWN_PAGES = 512 * 1024  # a buffer of this size, as a search of the whole image takes many, goes back as soon as it is freed
 _libc = ctypes.CDLL(None)
 
 
@@ -18,6 +19,7 @@ def begin() -> None:
     gc.disable()
     if hasattr(_libc, "mallopt"):
         _libc.mallopt(M_ARENA_MAX, ARENAS)
+        _libc.mallopt(M_MMAP_THRESHOLD, OWN_PAGES)
 
 
 def settle() -> None:
