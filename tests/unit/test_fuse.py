@@ -118,10 +118,10 @@ def test_one_station_alone_is_extrapolated_and_both_are_named() -> None:
 
 def test_a_stale_gimbal_says_its_age() -> None:
     fused = tracking()
-    fused.stale("left", 30.4, at(20))
+    fused.lost("left", "the controller's status is 30 ms old", at(20))
     fix = fused.tick(at(20.6))
     assert fix is not None
-    assert "left: gimbal stale for 30 ms" in fix.reasons
+    assert "left: the controller's status is 30 ms old" in fix.reasons
 
 
 def shifted(one: Sightline, up_mm: float) -> Sightline:

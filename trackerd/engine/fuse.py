@@ -96,10 +96,6 @@ class Fuser:
         self._silent[station] = reason
         return self._fuse_all(self._pairing.absent(station), now)
 
-    def stale(self, station: str, age_ms: float, now: HostNs) -> list[Fix]:
-        """A station's gimbal has not answered for `age_ms`: it has no angles, so no lines."""
-        return self.lost(station, f"gimbal stale for {age_ms:.0f} ms", now)
-
     def tick(self, now: HostNs) -> Fix | None:
         """To be called at the frame rate when nothing came: an extrapolated fix, later one that says 'lost', then nothing."""
         if self._anchor is None:

@@ -42,7 +42,6 @@ class Stages:
     angles: Stage = field(default_factory=Stage)  # frame complete -> its angles are known
     work: Stage = field(default_factory=Stage)  # tracker begins -> tracker has ended, in the worker
     tracked: Stage = field(default_factory=Stage)  # frame complete -> back in the loop
-    published: Stage = field(default_factory=Stage)  # frame complete -> put has returned
 
     def percentiles(self) -> dict[str, Percentiles | None]:
-        return {name: getattr(self, name).percentiles() for name in ("angles", "work", "tracked", "published")}
+        return {name: getattr(self, name).percentiles() for name in ("angles", "work", "tracked")}
