@@ -185,6 +185,10 @@ class Found:
     coverage: float  # share of the outline that carries an edge
     chi2: float  # per degree of freedom
     clipped: float  # share of the outline's pixels that are saturated
+    blur_px: float = 0.0  # sigma of the edge, where it is widest
+    inside_dn: float = 0.0  # grey level of the ball near its outline: median of the sectors that carry an edge
+    outside_dn: float = 0.0  # and of what is round it
+    inflated: str = ""  # why the covariance is larger than the pixels' noise says; empty: it is that noise alone
 
 
 @dataclass(frozen=True, slots=True)

@@ -19,14 +19,27 @@ POOR_CHI2 = 12.0  # a sector that looks like no edge at all
 def verified(fit: CircleFit, noise: NoiseModel, least_coverage: float) -> Outline:
     if not fit.settled:
         return Missed("the circle fit did not settle")
-    coverage = np.count_nonzero(edge_sectors(fit.sectors, noise)) / len(fit.weight)
+    good = edge_sectors(fit.sectors, noise)
+    coverage = np.count_nonzero(good) / len(fit.weight)
     if coverage < least_coverage:
         return Missed(f"only {100 * coverage:.0f} % of the outline carry an edge ({100 * least_coverage:.0f} % needed)")
     if not all(0.0 < variance < inf for variance in fit.cov_px2.diagonal().tolist()):
         return Missed("the outline does not determine a circle")
     weight = float(fit.weight.sum())
     chi2 = float(fit.sectors.chi2 @ fit.weight) / weight if weight > 0.0 else 0.0
-    return Found(fit.x_px, fit.y_px, fit.r_px, fit.cov_px2, coverage, chi2, fit.clipped)
+    contrast, middle = float(np.median(fit.sectors.contrast_dn[good])), float(np.median(fit.sectors.level_dn[good]))
+    return Found(
+        fit.x_px,
+        fit.y_px,
+        fit.r_px,
+        fit.cov_px2,
+        coverage,
+        chi2,
+        fit.clipped,
+        blur_px=fit.sigma_px,
+        inside_dn=middle + 0.5 * contrast,
+        outside_dn=middle - 0.5 * contrast,
+    )
 
 
 def edge_sectors(sectors: Sectors, noise: NoiseModel) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
