@@ -4,7 +4,7 @@ With theta the angle between a ray and the sphere's centre, and alpha the sphere
 rho = sin(theta) / sin(alpha) is below 1, at an angle of incidence whose sine is rho: exact at any range and off any axis.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from math import pi
 
@@ -16,7 +16,8 @@ from trackerd.geometry.lens import Lens
 from trackerd.geometry.sphere import outline
 from trackerd.sim.raster import Grid, Window, half_plane_cover, window_about
 
-RIM_SUBPIXELS = 2.5  # subpixels from the outline within which they are treated one by one
+RIM_INSIDE, RIM_OUTSIDE = 3.0, 1.0  # subpixels from the outline within which they are taken to parts
+RIM_PARTS = 4  # a side
 DEGREE = 10  # of the polynomial that undistorts a grid: below 1e-7 px on a tile of any lens with a field up to 90 deg
 BEND_SHARE, BEND_PX = 0.05, 3.0  # how far a distorted outline leaves its ellipse, at most: share of the radius, and px
 
@@ -53,11 +54,16 @@ class Surface:
 
 @dataclass(frozen=True, slots=True)
 class Rays:
-    """Through the subpixels of a grid; all (rows, columns)."""
+    """Through the subpixels of a grid, or through any other points; the arrays broadcast to one shape."""
 
     u: Array
     v: Array
     norm: Array
+
+    @classmethod
+    def of(cls, u: Array, v: Array) -> "Rays":
+        """Through points of the plane at unit distance."""
+        return cls(u, v, np.sqrt(u * u + v * v + 1.0))
 
     def along(self, direction: Array) -> Array:
         """Scalar product of the rays' unit directions with a vector (3,)."""
@@ -75,18 +81,15 @@ def ball_light(
     p_camera_mm: Array, radius_mm: float, surface: Surface, lens: Lens, grid: Grid, origin_px: tuple[int, int]
 ) -> tuple[Array, Array]:
     """Share of each subpixel that the ball covers, and the light (DN) of that share's mean; both (rows, columns)."""
-    rays = rays_through(lens, grid, origin_px)
     range_mm = float(np.linalg.norm(p_camera_mm))
-    sin_alpha = radius_mm / range_mm
-    towards = rays.along(p_camera_mm / range_mm)
-    rho2 = (1.0 - towards * towards) / sin_alpha**2
-    rho = np.sqrt(np.maximum(rho2, 0.0))
-    cosine = np.sqrt(np.maximum(1.0 - rho2, 0.0))
-    cover = (rho < 1.0).astype(np.float64)
+    ball = _Cone(p_camera_mm / range_mm, radius_mm / range_mm)
+    rays = rays_through(lens, grid, origin_px)
+    met = ball.meet(rays)
+    cover, light = (met.rho < 1.0).astype(np.float64), _area_mean(_light(surface, met))
     steepest = 1.0 / (outline(p_camera_mm, radius_mm, lens).b_px * grid.fine)
-    _settle_the_rim(rho, steepest, cover, cosine)
-    facing = _Facing(rays, p_camera_mm / range_mm, towards, sin_alpha, cosine)
-    return cover, _light(surface, facing)
+    rim = _rim(met.rho, steepest)
+    cover[rim], light[rim] = _rim_light(ball, surface, rays, met.rho, rim)
+    return cover, light
 
 
 def rays_through(lens: Lens, grid: Grid, origin_px: tuple[int, int]) -> Rays:
@@ -94,67 +97,113 @@ def rays_through(lens: Lens, grid: Grid, origin_px: tuple[int, int]) -> Rays:
     x, y = grid.x_px + origin_px[0], grid.y_px + origin_px[1]
     if not any(lens.distortion):
         u, v = (x - lens.cx_px) / lens.fx_px, (y - lens.cy_px) / lens.fy_px
-        return Rays(u, v, np.sqrt(u * u + v * v + 1.0))
+        return Rays.of(u, v)
     left, top = grid.window.left + origin_px[0], grid.window.top + origin_px[1]
     along_u, along_v = _undistortion(lens, Window(left, top, grid.window.width, grid.window.height))
     across = np.polynomial.chebyshev.chebvander(_scaled(x.ravel(), left, grid.window.width), DEGREE)
     down = np.polynomial.chebyshev.chebvander(_scaled(y.ravel(), top, grid.window.height), DEGREE)
-    u, v = down @ along_u @ across.T, down @ along_v @ across.T
-    return Rays(u, v, np.sqrt(u * u + v * v + 1.0))
+    return Rays.of(down @ along_u @ across.T, down @ along_v @ across.T)
 
 
 @dataclass(frozen=True, slots=True)
-class _Facing:
-    """How the surface is turned where the rays meet it."""
+class _Meeting:
+    """Where rays meet a sphere; the arrays are of the rays' shape."""
 
+    cone: "_Cone"
     rays: Rays
-    centre: Array  # unit direction (3,)
     towards: Array  # cos(theta)
-    sin_alpha: float
-    cosine: Array  # of the angle of incidence
+    rho: Array
+    cosine: Array  # of the angle of incidence; 0 where a ray misses
 
     def normal_along(self, direction: Array) -> Array:
         """Scalar product of the outward normal with a vector (3,): n = -cos(i) d - (c - cos(theta) d) / sin(alpha)."""
         along = self.rays.along(direction)
-        return np.asarray(-self.cosine * along - (float(self.centre @ direction) - self.towards * along) / self.sin_alpha)
+        across = float(self.cone.centre @ direction) - self.towards * along
+        return np.asarray(-self.cosine * along - across / self.cone.sin_alpha)
 
 
-def _light(surface: Surface, facing: _Facing) -> Array:
-    light = np.full(facing.cosine.shape, surface.level_dn)
+@dataclass(frozen=True, slots=True)
+class _Cone:
+    """A sphere as it is seen: direction (3,) of its centre, and the sine of its angular radius."""
+
+    centre: Array
+    sin_alpha: float
+
+    def meet(self, rays: Rays) -> _Meeting:
+        towards = rays.along(self.centre)
+        rho2 = (1.0 - towards * towards) / self.sin_alpha**2
+        cosine = np.sqrt(np.maximum(1.0 - rho2, 0.0))
+        return _Meeting(self, rays, towards, np.sqrt(np.maximum(rho2, 0.0)), cosine)
+
+
+def _light(surface: Surface, met: _Meeting) -> Array:
+    light = np.full(met.cosine.shape, float(surface.level_dn))
     if surface.limb > 0.0:
-        light *= 1.0 - surface.limb + surface.limb * facing.cosine
+        light *= 1.0 - surface.limb + surface.limb * met.cosine
     if surface.lamp is not None:
-        shade = np.maximum(facing.normal_along(_unit(surface.lamp.direction)), 0.0)
+        shade = np.maximum(met.normal_along(_unit(surface.lamp.direction)), 0.0)
         light *= surface.lamp.ambient + (1.0 - surface.lamp.ambient) * shade
     if surface.rim_dn > 0.0:
-        light += surface.rim_dn * (1.0 - facing.cosine) ** 5
+        light += surface.rim_dn * (1.0 - met.cosine) ** 5
     for spot in surface.highlights:
-        light += spot.strength_dn * np.exp((facing.normal_along(_unit(spot.normal)) - 1.0) / spot.width_rad**2)
+        light += spot.strength_dn * np.exp((met.normal_along(_unit(spot.normal)) - 1.0) / spot.width_rad**2)
     return light
 
 
-def _settle_the_rim(rho: Array, slope: float, cover: Array, cosine: Array) -> None:
-    """Near the outline: the covered share, and the mean cosine over it (whose slope is infinite at the rim). In place.
-
-    `slope` is what rho changes by at most from one subpixel to the next.
-    """
-    rows, columns = _rim(rho, slope)
-    gx = 0.5 * (rho[rows, columns + 1] - rho[rows, columns - 1])  # per subpixel
-    gy = 0.5 * (rho[rows + 1, columns] - rho[rows - 1, columns])
-    at, steep = rho[rows, columns], np.hypot(gx, gy)
-    cover[rows, columns] = half_plane_cover((1.0 - at) / steep, gx / steep, gy / steep)
-    half = 0.5 * np.maximum(np.abs(gx), np.abs(gy))
-    low, high = np.clip(at - half, 0.0, 1.0), np.clip(at + half, 0.0, 1.0)
-    inside = high - low > 1e-12
-    mean = np.zeros_like(at)
-    mean[inside] = (_cosine_integral(high[inside]) - _cosine_integral(low[inside])) / (high[inside] - low[inside])
-    cosine[rows, columns] = mean
+def _area_mean(light: Array) -> Array:
+    """Means over the subpixels' areas from the values at their centres, to second order; the border is left as it is."""
+    mean = light.copy()
+    inner = light[1:-1, 1:-1]
+    mean[1:-1, 1:-1] += (light[1:-1, 2:] + light[1:-1, :-2] + light[2:, 1:-1] + light[:-2, 1:-1] - 4.0 * inner) / 24.0
+    return mean
 
 
 def _rim(rho: Array, slope: float) -> tuple[Indices, Indices]:
-    """Rows and columns of the subpixels near the outline, except those on the border of the grid."""
-    rows, columns = np.nonzero(np.abs(rho[1:-1, 1:-1] - 1.0) < RIM_SUBPIXELS * slope)
+    """Rows and columns of the subpixels that the outline crosses, and of some inside of it; none on the grid's border.
+
+    `slope` is the most by which rho changes from one subpixel to the next.
+    """
+    inner = rho[1:-1, 1:-1]
+    rows, columns = np.nonzero((inner > 1.0 - RIM_INSIDE * slope) & (inner < 1.0 + RIM_OUTSIDE * slope))
     return rows + 1, columns + 1
+
+
+def _rim_light(ball: _Cone, surface: Surface, rays: Rays, rho: Array, rim: tuple[Indices, Indices]) -> tuple[Array, Array]:
+    """Cover and light of the rim's subpixels, from parts of them: light has an infinite slope at the rim."""
+    offset = (np.arange(RIM_PARTS) + 0.5) / RIM_PARTS - 0.5
+    met = ball.meet(_between(rays, rim, offset[None, None, :], offset[None, :, None]))
+    slope_x, slope_y = (slope[:, None, None] / RIM_PARTS for slope in _slopes(rho, rim))
+    slope = np.hypot(slope_x, slope_y)
+    bulge = slope / 24.0  # of the outline's tangent over the outline, mean over a part
+    cover = half_plane_cover((1.0 - met.rho) / slope - bulge, slope_x / slope, slope_y / slope)
+    mean_cosine = _mean_cosine(met.rho, 0.5 * np.maximum(np.abs(slope_x), np.abs(slope_y)))
+    light = _light(surface, replace(met, cosine=mean_cosine))
+    covered = cover.mean(axis=(1, 2))
+    return covered, (cover * light).mean(axis=(1, 2)) / np.maximum(covered, 1e-12)
+
+
+def _between(rays: Rays, at: tuple[Indices, Indices], right: Array, down: Array) -> Rays:
+    """Rays beside those of some subpixels, by parts of a subpixel; (subpixels, ...) in the shape of `right` and `down`."""
+    u, v = np.broadcast_arrays(rays.u, rays.v)
+    beside = []
+    for values in (u, v):
+        slope_x, slope_y = (slope[:, None, None] for slope in _slopes(values, at))
+        beside.append(values[at][:, None, None] + slope_x * right + slope_y * down)
+    return Rays.of(*beside)
+
+
+def _slopes(values: Array, at: tuple[Indices, Indices]) -> tuple[Array, Array]:
+    """Per subpixel, along the rows and down the columns."""
+    rows, columns = at
+    along = 0.5 * (values[rows, columns + 1] - values[rows, columns - 1])
+    return along, 0.5 * (values[rows + 1, columns] - values[rows - 1, columns])
+
+
+def _mean_cosine(rho: Array, reach: Array) -> Array:
+    """Of sqrt(1 - rho^2) over rho ± reach, as far as that is on the ball."""
+    low, high = np.clip(rho - reach, 0.0, 1.0), np.clip(rho + reach, 0.0, 1.0)
+    width = np.maximum(high - low, 1e-12)
+    return (_cosine_integral(high) - _cosine_integral(low)) / width
 
 
 def _cosine_integral(rho: Array) -> Array:

@@ -1,7 +1,7 @@
 """What a lens and a pixel do to the light of a scene: smear, blur circle, Gaussian blur, the integral over the pixel's area.
 
 Everything works on subpixels that hold the mean of their own area. That mean is already a blur, of variance h^2/12 for a
-subpixel of side h; it is taken off the Gaussian's, which leaves an error of fourth order.
+subpixel of side h (and so is that of the blur circle's); it is taken off the Gaussian's: an error of fourth order is left.
 """
 
 from functools import lru_cache
@@ -21,9 +21,12 @@ def margin_px(psf_px: float, defocus_px: float, motion_px: tuple[float, float]) 
     return ceil(REACH * psf_px + 0.5 + defocus_px + 0.5 * max(abs(motion_px[0]), abs(motion_px[1]))) + 1
 
 
-def gather(light: Array, fine: int, margin: int, psf_px: float) -> Array:
-    """Pixels (height, width) of subpixels ((height + 2 margin) fine, (width + 2 margin) fine): Gaussian blur and pixel area."""
-    kernel = _pixel_kernel(fine, margin, psf_px)
+def gather(light: Array, fine: int, margin: int, psf_px: float, means: int = 1) -> Array:
+    """Pixels (height, width) of subpixels ((height + 2 margin) fine, (width + 2 margin) fine): Gaussian blur and pixel area.
+
+    `means` counts how often a mean over the subpixels' area has been taken already.
+    """
+    kernel = _pixel_kernel(fine, margin, sqrt(psf_px * psf_px - means / (12.0 * fine * fine)))
     rows = _gather_rows(light, fine, margin, kernel)
     return np.ascontiguousarray(_gather_rows(np.ascontiguousarray(rows.T), fine, margin, kernel).T)
 
@@ -63,11 +66,11 @@ def _band(count: int, fine: int, kernel: tuple[float, ...]) -> Array:
 
 
 @lru_cache(maxsize=32)
-def _pixel_kernel(fine: int, margin: int, psf_px: float) -> Array:
+def _pixel_kernel(fine: int, margin: int, sigma_px: float) -> Array:
     """Weights of the (1 + 2 margin) fine subpixels about a pixel."""
     offset = (np.arange((1 + 2 * margin) * fine) + 0.5) / fine - 0.5 - margin
-    sigma = sqrt(psf_px * psf_px - 1.0 / (12.0 * fine * fine))
-    weights = np.array([erf((t + 0.5) / sigma / sqrt(2.0)) - erf((t - 0.5) / sigma / sqrt(2.0)) for t in offset])
+    scale = 1.0 / (sqrt(2.0) * sigma_px)
+    weights = np.array([erf((t + 0.5) * scale) - erf((t - 0.5) * scale) for t in offset])
     return np.asarray(weights / weights.sum())
 
 

@@ -147,6 +147,7 @@ def _render_tile(picture: Picture, tile: Window, stem: Polygon | None) -> Array:
     paint(picture.front, grid, light)
     if picture.defocus_px > 0.0:
         light = defocus(light, grid.fine, picture.defocus_px)
+        return gather(light, grid.fine, margin, picture.psf_px, means=2)
     return gather(light, grid.fine, margin, picture.psf_px)
 
 
@@ -164,7 +165,7 @@ def _fine(picture: Picture, around: Window, stem: Polygon | None) -> int:
 def _background(picture: Picture, grid: Grid) -> Array:
     ground = picture.background
     (width, height), (slope_x, slope_y) = picture.size_px, ground.gradient_dn_per_px
-    light = np.full(grid.shape, ground.level_dn)
+    light = np.full(grid.shape, float(ground.level_dn))
     if slope_x or slope_y:
         light += slope_x * (grid.x_px - 0.5 * (width - 1)) + slope_y * (grid.y_px - 0.5 * (height - 1))
     if ground.texture_dn > 0.0:
