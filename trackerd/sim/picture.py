@@ -189,7 +189,7 @@ def _grain(size_px: tuple[int, int], grain_px: float, seed: int) -> Array:
     """Blurred noise of mean 0 and rms 1, with its margin."""
     shape = (size_px[1] + 2 * TEXTURE_MARGIN_PX, size_px[0] + 2 * TEXTURE_MARGIN_PX)
     white = np.random.default_rng(seed).standard_normal(shape)
-    blurred = cv2.GaussianBlur(white, (0, 0), grain_px, borderType=cv2.BORDER_WRAP)
+    blurred = cv2.GaussianBlur(white, (0, 0), grain_px)
     return np.asarray(blurred * (2.0 * sqrt(pi) * grain_px))
 
 
