@@ -1,8 +1,8 @@
 """The Cramér-Rao bound of a picture: the least covariance that any unbiased estimate of its outline can have.
 
 Fisher information of the rendered pixels for x, y and r of the outline, with the blur, the ball's level and everything else's
-level unknown, too. The stem stays where it is when the outline is moved: that its middle is the ball's is no knowledge of the
-outline.
+level unknown, too: before a ground that is clipped, r is hardly known, since a brighter ground looks like a smaller dark ball.
+The stem stays where it is when the outline is moved: that its middle is the ball's is no knowledge of the outline.
 """
 
 from dataclasses import replace
@@ -20,6 +20,7 @@ from trackerd.sim.sensor import Sensor
 
 STEP_PX = 0.05  # of x, y and r, to either side: the third derivative of an edge costs 0.1 % of a slope
 BLUR_STEP = 0.02  # of the blur, as a share
+LEAST_INFORMATION = 1e-6  # 1 / px: what rounding of floats leaves of none
 CLIP_REACH = 8.0  # sigmas from saturation beyond which a pixel is wholly clipped, or not at all
 
 
@@ -34,7 +35,7 @@ def bound(picture: Picture, sensor: Sensor) -> Array:
     moved = np.stack([slope.ravel() for slope in slopes])
     fisher = (moved * weight.ravel()) @ moved.T
     scale = np.sqrt(np.diag(fisher))
-    if not (scale > 0.0).all():
+    if not (scale > LEAST_INFORMATION).all():
         raise ValueError("nothing in the picture depends on the outline")
     covariance = np.linalg.inv(fisher / np.outer(scale, scale)) / np.outer(scale, scale)
     return np.asarray(covariance[:3, :3])
