@@ -22,13 +22,17 @@ CONFIG = Path(__file__).parents[2] / "config"
 DEMO = str(CONFIG / "demo.toml")
 DONE, WRONG, REFUSED = 0, 2, 3
 
+COMMANDS = ("check", "twin", "watch", "select", "arm", "calibrate", "inspect")
 OPTIONS = {
-    "": ("--config", "--set", "--duration", "--version", "check", "twin", "watch", "select", "arm", "exit status"),
+    "": ("--config", "--set", "--duration", "--version", "exit status", *COMMANDS),
     "check": ("--config", "--set"),
     "twin": ("--config", "--set", "--record", "--duration", "--with-parent"),
     "watch": ("--config", "--set", "--duration", "--plain"),
     "select": ("--config", "--set", "--gimbal", "--pixel", "auto"),
     "arm": ("--config", "--set", "--gimbal", "--hold", "small slow move"),
+    "calibrate": ("noise",),
+    "calibrate noise": ("PATH", "--config", "--set", "--out", "--camera", "--frames", "Exit status 3"),
+    "inspect": ("PATH", "--config", "--set", "--out", "--csv", "--guess", "--station", "--live", "--camera", "--frames"),
 }
 
 
@@ -65,7 +69,7 @@ def usage(*arguments: str) -> int:
 
 @pytest.mark.parametrize("command", OPTIONS)
 def test_help_tells_every_option(command: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert usage(*filter(None, [command]), "--help") == DONE
+    assert usage(*command.split(), "--help") == DONE
     told = capsys.readouterr().out
     for option in OPTIONS[command]:
         assert option in told
@@ -88,6 +92,9 @@ def test_the_version_is_told(capsys: pytest.CaptureFixture[str]) -> None:
         (["select", "--config", DEMO, "--pixel", "1,2"], "--gimbal"),
         (["select", "--config", DEMO, "--gimbal", "left", "--pixel", "1"], "'1': needs X,Y"),
         (["select", "--config", DEMO, "--gimbal", "left", "--pixel", "1,nan"], "'1,nan': needs X,Y"),
+        (["calibrate"], "WHAT"),
+        (["calibrate", "noise", "--frames", "inf"], "'inf': needs a whole number, 1 or above"),
+        (["inspect", "one.png", "--guess", "1,2"], "'1,2': needs X,Y,R"),
     ],
 )
 def test_wrong_usage_is_status_2_and_says_what_is_wrong(

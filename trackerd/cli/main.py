@@ -5,13 +5,14 @@ import os
 import signal
 import sys
 from collections.abc import Callable, Iterator, Sequence
-from math import isfinite, nan
 from pathlib import Path
 
 from trackerd import __version__
+from trackerd.cli.arguments import circle, count, pixel, seconds
 from trackerd.contract.errors import ConfigError, TrackerdError
 
 DONE, BUG, WRONG_INPUT, REFUSED, TO_MEND = 0, 1, 2, 3, 4
+NO_BALL = TO_MEND
 
 ABOUT = """\
 Measures where a probe is, in real time, from cameras on two-axis gimbals, and publishes it on Zenoh.
@@ -24,13 +25,13 @@ Starting the service moves nothing. On a real bus the axes follow only after `tr
 
 STATUSES = """\
 exit status: 0 done, or stopped by SIGTERM or SIGINT; 1 a defect of trackerd (with a traceback); 2 wrong usage or
-configuration; 3 refused or unreachable (a port taken, another publisher on the key, no daemon there); 4 `check` found
-something to mend."""
+configuration; 3 refused or unreachable (a port taken, another publisher on the key, no daemon there, pictures that do not
+tell what was asked); 4 `check` found something to mend, or `inspect` no ball in any picture."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     options = _parser().parse_args(arguments)
-    if options.config is None:
+    if options.config is None and options.needs_config:
         _parser().error("--config FILE is needed")
     options.overrides += options.more_overrides
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before NumPy is loaded: small matrices, and cores are for the stations
@@ -68,10 +69,10 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--version", action="version", version=f"trackerd {__version__}")
     _common(parser, None, "overrides")
-    parser.add_argument("--duration", type=_seconds, metavar="S", help="stop S seconds after READY (default: run on)")
-    parser.set_defaults(run=_serve, overrides=[], more_overrides=[])
+    parser.add_argument("--duration", type=seconds, metavar="S", help="stop S seconds after READY (default: run on)")
+    parser.set_defaults(run=_serve, overrides=[], more_overrides=[], needs_config=True)
     commands = parser.add_subparsers(title="commands", metavar="COMMAND")
-    for add in (_add_check, _add_twin, _add_watch, _add_select, _add_arm):
+    for add in (_add_check, _add_twin, _add_watch, _add_select, _add_arm, _add_inspect, _add_calibrate):
         _common(add(commands), argparse.SUPPRESS, "more_overrides")
     return parser
 
@@ -110,7 +111,7 @@ def _add_twin(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -
         " as it can: frames, encoder angles, truth, calibration.",
     )
     parser.add_argument("--record", type=Path, metavar="DIR", help="write a recording into DIR")
-    parser.add_argument("--duration", type=_seconds, metavar="S", default=argparse.SUPPRESS, help="end after S seconds")
+    parser.add_argument("--duration", type=seconds, metavar="S", default=argparse.SUPPRESS, help="end after S seconds")
     parser.add_argument("--with-parent", action="store_true", help="end 5 s after standard input is closed")
     parser.set_defaults(run=_twin)
     return parser
@@ -122,7 +123,7 @@ def _add_watch(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") 
         help="show the published position: an ordinary Zenoh subscriber",
         description="Shows position, sigma, rate, age and state as published, and the error where a twin tells the truth.",
     )
-    parser.add_argument("--duration", type=_seconds, metavar="S", default=argparse.SUPPRESS, help="end after S seconds")
+    parser.add_argument("--duration", type=seconds, metavar="S", default=argparse.SUPPRESS, help="end after S seconds")
     parser.add_argument("--plain", action="store_true", help="one line a second instead of a live table")
     parser.set_defaults(run=_watch)
     return parser
@@ -135,7 +136,7 @@ def _add_select(commands: "argparse._SubParsersAction[argparse.ArgumentParser]")
         description="The target becomes the ball nearest to a pixel of the sensor; --pixel auto lets it be found by itself.",
     )
     parser.add_argument("--gimbal", required=True, metavar="NAME")
-    parser.add_argument("--pixel", required=True, type=_pixel, metavar="X,Y", help="sensor pixel, or auto")
+    parser.add_argument("--pixel", required=True, type=pixel, metavar="X,Y", help="sensor pixel, or auto")
     parser.set_defaults(run=_select)
     return parser
 
@@ -150,6 +151,53 @@ def _add_arm(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") ->
     parser.add_argument("--gimbal", metavar="NAME", help="one gimbal only (default: all)")
     parser.add_argument("--hold", action="store_true", help="hold the axes instead")
     parser.set_defaults(run=_arm)
+    return parser
+
+
+def _add_inspect(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> argparse.ArgumentParser:
+    parser = commands.add_parser(
+        "inspect",
+        help="draw what the detector sees in pictures, or help to focus a running camera",
+        description="Draws, of one picture: edge points, outline, residuals, the centre with its 95 % ellipse; of a folder, or"
+        " of each station of a recording (twin --record): repeatability and Allan deviation. The page goes to NAME.inspect.png"
+        " in the working folder. With --live: edge width, contrast and exposure of a running camera, for the hand at the lens's"
+        " ring (the edge width tells focus only while nothing moves). --config gives the camera's noise, lens and probe;"
+        " without it a sensor of 10 ke- is assumed. Exit status 4, with the reasons, where no picture has a ball.",
+    )
+    parser.add_argument("path", nargs="?", type=Path, metavar="PATH", help="a picture, a folder of pictures, or a recording")
+    parser.add_argument("--out", type=Path, metavar="FILE", help="the page: .png, .svg or .pdf")
+    parser.add_argument("--csv", type=Path, metavar="FILE", help="write one row a picture")
+    parser.add_argument("--guess", type=circle, metavar="X,Y,R", help="where the ball is, px of the picture (default: search)")
+    parser.add_argument("--station", metavar="NAME", help="this station of a recording only")
+    parser.add_argument("--live", action="store_true", help="look at a running camera of the cell instead")
+    parser.add_argument("--camera", metavar="NAME", help="the camera of the cell (default: the station's, or the only one)")
+    parser.add_argument("--frames", type=count, metavar="N", help="with --live: end after N frames")
+    parser.add_argument("--duration", type=seconds, metavar="S", default=argparse.SUPPRESS, help="with --live: end after S s")
+    parser.add_argument("--plain", action="store_true", help="with --live: one line a second instead of a live table")
+    parser.set_defaults(run=_inspect, needs_config=False)
+    return parser
+
+
+def _add_calibrate(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> argparse.ArgumentParser:
+    """`calibrate` with what can be calibrated; the parser of the only one is returned."""
+    what = commands.add_parser(
+        "calibrate",
+        help="measure what the cell's file says of its devices",
+        description="Measures what the cell's file says of its devices, and prints the lines for it.",
+    ).add_subparsers(title="what", metavar="WHAT", required=True)
+    parser = what.add_parser(
+        "noise",
+        help="gain and read noise of a camera, from pictures of a still scene",
+        description="Gain and read noise of a camera by photon transfer, with their sigmas and a plot. The pictures, 8 or more,"
+        " show one still scene of many grey levels, such as a wall that is lit from one side, out of focus. The light may"
+        " flicker and drift. With --config and --camera it takes them from a camera of the cell; nothing is armed, nothing"
+        " moves. Exit status 3 where the pictures do not tell it, in words that say what would.",
+    )
+    parser.add_argument("path", nargs="?", type=Path, metavar="PATH", help="a folder of pictures, or a recording")
+    parser.add_argument("--out", type=Path, metavar="FILE", default=Path("noise.svg"), help="the plot (default: noise.svg)")
+    parser.add_argument("--camera", metavar="NAME", help="the camera of the cell")
+    parser.add_argument("--frames", type=count, metavar="N", default=100, help="of the camera (default: 100)")
+    parser.set_defaults(run=_calibrate_noise, needs_config=False)
     return parser
 
 
@@ -197,25 +245,28 @@ def _arm(options: argparse.Namespace) -> int:
     return ask(options.config, options.overrides, "arm", request | ({"hold": True} if options.hold else {}))
 
 
-def _seconds(text: str) -> float:
-    value = _number(text)
-    if not 0 < value < 1e9:
-        raise argparse.ArgumentTypeError(f"{text!r}: needs a positive number of seconds")
-    return value
+def _calibrate_noise(options: argparse.Namespace) -> int:
+    from trackerd.cli.calibrate import NoiseRequest, noise
+
+    noise(NoiseRequest(options.path, options.out, options.config, options.camera, options.frames, options.overrides))
+    return DONE
 
 
-def _pixel(text: str) -> object:
-    if text == "auto":
-        return text
-    pixel = [_number(part) for part in text.split(",")]
-    if len(pixel) != 2 or not all(map(isfinite, pixel)):
-        raise argparse.ArgumentTypeError(f"{text!r}: needs X,Y, as in 1020,760, or auto")
-    return pixel
+def _inspect(options: argparse.Namespace) -> int:
+    if options.live == (options.path is not None):
+        raise ConfigError("inspect: needs either PATH, what to look at, or --live")
+    if options.live:
+        return DONE if _inspect_live(options) else NO_BALL
+    from trackerd.cli.inspect import Request, inspect
+
+    wanted = {key: getattr(options, key) for key in ("path", "out", "csv", "guess", "station", "config", "camera", "overrides")}
+    return DONE if inspect(Request(**wanted)) else NO_BALL
 
 
-def _number(text: str) -> float:
-    """NaN for what is none."""
-    try:
-        return float(text)
-    except ValueError:
-        return nan
+def _inspect_live(options: argparse.Namespace) -> bool:
+    from trackerd.cli.inspect_live import LiveRequest, live
+
+    if options.config is None:
+        raise ConfigError("inspect --live: needs --config FILE, the cell that has the camera")
+    wanted = {key: getattr(options, key) for key in ("config", "camera", "overrides", "guess", "frames", "plain")}
+    return live(LiveRequest(**wanted, duration_s=options.duration))

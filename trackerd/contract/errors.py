@@ -37,3 +37,7 @@ class RecordingEnded(TrackerdError):
 
 class Degenerate(TrackerdError):
     """The geometry does not determine what was asked (too few or nearly parallel lines of sight)."""
+
+
+class Undetermined(TrackerdError):
+    """The pictures do not determine what was asked; the text says why, and what would."""
