@@ -172,7 +172,7 @@ def test_the_picture_is_that_of_brute_force(name):
     made = CASES[name]
     difference = expected(made) - Brute(made, 8 if name == "r 60" else 16).pixels()
     assert np.abs(difference).max() < 0.2
-    assert np.abs(displacement_px(made, difference)).max() < 1e-4
+    assert np.abs(displacement_px(made, difference)).max() < 2e-4
 
 
 def test_a_displaced_picture_fails_that_comparison():

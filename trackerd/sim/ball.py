@@ -174,8 +174,7 @@ def _rim_light(ball: _Cone, surface: Surface, rays: Rays, rho: Array, rim: tuple
     met = ball.meet(_between(rays, rim, offset[None, None, :], offset[None, :, None]))
     slope_x, slope_y = (slope[:, None, None] / RIM_PARTS for slope in _slopes(rho, rim))
     slope = np.hypot(slope_x, slope_y)
-    bulge = slope / 24.0  # of the outline's tangent over the outline, mean over a part
-    cover = half_plane_cover((1.0 - met.rho) / slope - bulge, slope_x / slope, slope_y / slope)
+    cover = half_plane_cover((1.0 - met.rho) / slope, slope_x / slope, slope_y / slope)
     mean_cosine = _mean_cosine(met.rho, 0.5 * np.maximum(np.abs(slope_x), np.abs(slope_y)))
     light = _light(surface, replace(met, cosine=mean_cosine))
     covered = cover.mean(axis=(1, 2))
