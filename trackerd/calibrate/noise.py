@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from trackerd.calibrate.still_frames import LEVELS, USUAL, Frames, Levels, Scatter, look_at_levels, look_at_scatter
-from trackerd.calibrate.still_pixels import FEWEST, correlation, freedom_of, median_of_mean, still_pixels
+from trackerd.calibrate.still_pixels import FEWEST_STILL, correlation, freedom_of, median_of_mean, still_pixels
 from trackerd.contract.errors import Undetermined
 from trackerd.contract.model import Array
 
@@ -199,7 +199,7 @@ def _rough_line(levels: Levels, scatter: Scatter) -> Line:
     order = np.argsort(levels.mean_dn, axis=None)
     ceiling_dn = inf if levels.saturation_dn is None else 0.95 * levels.saturation_dn
     order = order[levels.mean_dn.ravel()[order] < ceiling_dn]
-    if len(order) < FEWEST:
+    if len(order) < FEWEST_STILL:
         raise Undetermined(f"the picture is saturated at {levels.saturation_dn} DN: lower exposure, gain or light")
     groups = np.array_split(order, LEVELS)
     level = np.array([levels.mean_dn.ravel()[group].mean() for group in groups])

@@ -19,7 +19,7 @@ from trackerd.contract.model import Array, Image
 Frames: TypeAlias = Callable[[], Iterable[tuple[str, Image]]]  # names and pictures, from the first one at every call
 Grey: TypeAlias = npt.NDArray[np.float32]
 
-FEWEST = 8
+FEWEST_FRAMES = 8
 SMALLEST_PX = 32
 BLOCK_PX = (
     8  # means over such blocks tell the light's factor: exact to a few 1e-4, where a pixel's grey levels are whole numbers
@@ -80,8 +80,8 @@ def look_at_levels(frames: Frames, progress: Callable[[], None]) -> Levels:
         bits |= int(np.bitwise_or.reduce(image, axis=None))
         blocks.append(_block_means(image))
         progress()
-    if sums is None or len(blocks) < FEWEST:
-        raise Undetermined(f"{len(blocks)} frames: the noise needs at least {FEWEST} of the same still scene")
+    if sums is None or len(blocks) < FEWEST_FRAMES:
+        raise Undetermined(f"{len(blocks)} frames: the noise needs at least {FEWEST_FRAMES} of the same still scene")
     mean_dn = sums / len(blocks)
     saturation_dn = top.saturation_dn(bits)
     factors = _factors(np.array(blocks), saturation_dn or np.inf)

@@ -31,7 +31,7 @@ BLOCK_SHARE = 0.25  # of a block's pixels, so that it is judged
 RESTLESS, CHANGED = 1.5, 0.5  # of the variance: successive differences, and the two halves of the stack
 LOUDEST = 10.0  # no single pixel counts for more variances than this: hot ones are told one by one
 MOST_MOVING = 0.05  # of the picture
-FEWEST = 500  # pixels
+FEWEST_STILL = 500  # pixels
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,7 +58,7 @@ def still_pixels(levels: Levels, scatter: Scatter, noise_dn2: Array, slack: floa
     shake_px = _shake(levels.frames, scatter, slope, rough, unclipped & ~moving)
     sound = _sound(levels, scatter, variance)
     still = candidates & ~moving & sound
-    if np.count_nonzero(still) < FEWEST:
+    if np.count_nonzero(still) < FEWEST_STILL:
         lost = {
             "clipped at black or saturation": ~unclipped,
             "with a noise below 0.4 grey levels (open the camera's gain, or use more bits)": unclipped & ~loud,
@@ -67,7 +67,7 @@ def still_pixels(levels: Levels, scatter: Scatter, noise_dn2: Array, slack: floa
         }
         told = ", ".join(f"{np.mean(mask):.0%} {what}" for what, mask in lost.items() if mask.any())
         raise Undetermined(
-            f"only {np.count_nonzero(still)} pixels of the picture can tell the noise, {FEWEST} are needed: {told}"
+            f"only {np.count_nonzero(still)} pixels of the picture can tell the noise, {FEWEST_STILL} are needed: {told}"
         )
     return Still(still, shake_px, tuple(_notes(moving, shake_px)))
 

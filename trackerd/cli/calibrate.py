@@ -13,7 +13,7 @@ from rich.table import Table
 
 from trackerd.calibrate.noise import CameraNoise, measure_noise
 from trackerd.calibrate.photon_plot import ENDINGS, draw
-from trackerd.calibrate.still_frames import FEWEST
+from trackerd.calibrate.still_frames import FEWEST_FRAMES
 from trackerd.contract.errors import ConfigError
 from trackerd.contract.model import Image
 from trackerd.formats.config import CellConfig
@@ -72,8 +72,8 @@ def _camera_of(cell: CellConfig | None, name: str | None, station: str | None) -
 def _from_camera(request: NoiseRequest) -> None:
     if request.config is None or request.camera is None:
         raise ConfigError("calibrate noise: needs PATH, pictures of a still scene, or --config FILE and --camera NAME")
-    if request.frames < FEWEST:
-        raise ConfigError(f"--frames {request.frames}: needs at least {FEWEST}")
+    if request.frames < FEWEST_FRAMES:
+        raise ConfigError(f"--frames {request.frames}: needs at least {FEWEST_FRAMES}")
     cell = load(request.config, request.overrides)
     camera = camera_of(cell, request.camera)
     with _progress("grabbing", request.frames) as advance:
