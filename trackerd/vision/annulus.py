@@ -27,9 +27,11 @@ class Ring:
     row: Short
     weight: Floats  # 1 for a pixel, 0 for a copy that only fills up
     count: Short  # (S,) pixels of each sector
-    design: Floats  # (S, 3): unit vector of the sector's middle, and 1: d (edge's offset) / d (x, y, r)
+    middle: Floats  # (S, 2): cosine and sine of the sector's middle
     blur_design: Floats  # (S, 3): 1, cos and sin of twice the sector's angle: d (blur's variance) / d unknown
     reach_px: int  # no offset is greater
+    inside_px: float  # of an outline that is no circle, the pixels this far from it are used: the ring is wider
+    outside_px: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,15 +43,15 @@ class Gathered:
 
 
 @lru_cache(maxsize=32)
-def ring(radius_px: int, inside_px: int, outside_px: int) -> Ring:
-    """Pixels with -inside <= distance - radius <= outside."""
-    reach = radius_px + outside_px + 1
+def ring(radius_px: int, inside_px: int, outside_px: int, bulge_px: int = 0) -> Ring:
+    """Pixels with -inside - bulge <= distance - radius <= outside + bulge."""
+    reach = radius_px + outside_px + bulge_px + 1
     side = np.arange(-reach, reach + 1)
     column, row = (a.ravel() for a in np.meshgrid(side, side))
     distance = np.hypot(column, row)
-    kept = (distance >= max(radius_px - inside_px, 1)) & (distance <= radius_px + outside_px)
+    kept = (distance >= max(radius_px - inside_px - bulge_px, 1)) & (distance <= radius_px + outside_px + bulge_px)
     column, row = column[kept], row[kept]
-    sectors = MANY_SECTORS if radius_px >= MANY_FROM_PX else FEW_SECTORS
+    sectors = sectors_of(radius_px)
     turn = np.arctan2(row, column) / (2.0 * pi) * sectors
     order, weight = _fill(np.floor(turn).astype(np.intp) % sectors, sectors)
     column, row = column[order], row[order]
@@ -61,17 +63,23 @@ def ring(radius_px: int, inside_px: int, outside_px: int) -> Ring:
         row.astype(np.int32),
         weight,
         weight.sum(axis=1).astype(np.int32),
-        np.column_stack((np.cos(middle), np.sin(middle), np.ones(sectors))),
+        np.column_stack((np.cos(middle), np.sin(middle))),
         np.column_stack((np.ones(sectors), np.cos(2.0 * middle), np.sin(2.0 * middle))),
         reach,
+        float(inside_px),
+        float(outside_px),
     )
 
 
-def ring_for(radius_px: float, sigma_px: float) -> Ring:
+def sectors_of(radius_px: float) -> int:
+    return MANY_SECTORS if round(radius_px) >= MANY_FROM_PX else FEW_SECTORS
+
+
+def ring_for(radius_px: float, sigma_px: float, bulge_px: float = 0.0) -> Ring:
     """The ring that an edge of this blur needs: wide enough for both levels, no wider (clutter is near)."""
     inside, outside = (8, 5) if sigma_px <= 1.2 else (ceil(4.0 * sigma_px + 6.0), ceil(4.0 * sigma_px + 4.0))
     whole = max(round(radius_px), 3)
-    return ring(whole, min(inside, max(round(0.6 * whole), 2)), outside)
+    return ring(whole, min(inside, max(round(0.6 * whole), 2)), outside, ceil(bulge_px))
 
 
 def gather(image: Image, pixels: Ring, column: int, row: int) -> Gathered:

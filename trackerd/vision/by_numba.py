@@ -12,18 +12,19 @@ import numpy as np
 from trackerd.contract.model import Image
 from trackerd.vision.annulus import Ring
 from trackerd.vision.compiled import fit
-from trackerd.vision.convergence import PROFILE, RULES, Blur, CircleFit, Rules, Sectors, Sensor
+from trackerd.vision.convergence import DAWN, PROFILE, RULES, CircleFit, Rules, Sectors, Sensor, Start
+from trackerd.vision.curve import Curve
 from trackerd.vision.noise import NoiseModel
-from trackerd.vision.rays import Circle
 
 
 def _compile(pixel: Any) -> None:
     whole, table = numba.types.int32, numba.types.Array(numba.float64, 2, "C", readonly=True)
     fit.compile((  # type: ignore[attr-defined]
         numba.types.Array(pixel, 2, "A", readonly=True, aligned=False),  # a part of an image too, or one not to be written to
-        whole[:, ::1], whole[:, ::1], whole[::1], table, table, table,
+        whole[:, ::1], whole[:, ::1], whole[::1], table, table, table, table, numba.types.boolean,
+        numba.types.UniTuple(numba.float64, 2), table, numba.types.Array(numba.float64, 3, "C", readonly=True),
         *(numba.types.NamedUniTuple(numba.float64, len(kind._fields), kind) for kind in (Rules, Sensor)),
-        numba.float64[::1], numba.float64[:, ::1], numba.float64[:, ::1],
+        numba.float64[::1], numba.int64, numba.int64, numba.float64[:, ::1], numba.float64[:, ::1],
     ))  # fmt: skip
 
 
@@ -32,18 +33,35 @@ for _pixel in (numba.uint8, numba.uint16):
 fit.disable_compile()  # type: ignore[attr-defined]
 
 
-def converge(image: Image, pixels: Ring, start: Circle, blur_px2: Blur, noise: NoiseModel) -> CircleFit | None:
+def converge(image: Image, pixels: Ring, curve: Curve, start: Start, noise: NoiseModel) -> CircleFit | None:
     """The best fit near a start. None: it ran away, or the image does not determine a circle."""
-    circle = np.array((*start, *blur_px2, 0.0, 0.0, 0.0, 0.0))
-    cov, said = np.empty((3, 3)), np.empty((6, len(pixels.count)))
+    blurs, limbs = len(start.blur_px2), len(start.limb_dn)
+    size = 3 + blurs + limbs
+    circle = np.array((start.x_px, start.y_px, start.r_px, *start.blur_px2, *start.limb_dn, 0.0, 0.0, 0.0, 0.0))
+    cov, said = np.empty((size + 2, size + 2)), np.empty((6, len(pixels.count)))
     saturated_dn = noise.saturation_of(255 if image.dtype == np.uint8 else 65535)
     sensor = Sensor(1.0 / noise.gain_e_per_dn, noise.floor_dn2, saturated_dn)
     if not fit(
-        image, pixels.column, pixels.row, pixels.count, pixels.design, pixels.blur_design, PROFILE, RULES,
-        sensor, circle, cov, said,
+        image, pixels.column, pixels.row, pixels.count, pixels.middle, curve.design, pixels.blur_design, curve.bulge,
+        not curve.round, (pixels.inside_px, pixels.outside_px), PROFILE, DAWN, RULES, sensor, circle, blurs, limbs, cov, said,
     ):  # fmt: skip
         return None
-    x, y, r, *_, clipped, chi2, sigma, settled = circle.tolist()
+    x, y, r = circle[:3].tolist()
+    clipped, chi2, sigma, settled = circle[-4:].tolist()
     contrast, level, offset, information, chi2_of, weight = said
-    sectors = Sectors(contrast, level, offset, information, chi2_of)
-    return CircleFit(x, y, r, sigma, cov, sectors, weight, chi2, clipped, settled > 0.0)
+    return CircleFit(
+        x,
+        y,
+        r,
+        circle[3 : 3 + blurs],
+        circle[3 + blurs : size],
+        sigma,
+        cov[:3, :3],
+        cov[3 + blurs : size, 3 + blurs : size],
+        Sectors(contrast, level, offset, information, chi2_of),
+        weight,
+        chi2,
+        clipped,
+        settled > 0.0,
+        curve,
+    )

@@ -1,20 +1,33 @@
 """The circle fit's iteration in NumPy: the reference, and the kernel where numba is not installed.
 
-Sector j: I = B_j + D_j E(t), E = erfc(t / sqrt 2) / 2, t = s / sig + sig / (2 r), s = distance - r. The last term is the
-curvature of the edge; without it r is low by sig^2 / (2 r). B_j and D_j are eliminated (Schur), which leaves the offset e_j of
-the edge in each sector with its information w_j; Tukey's weights on e_j sqrt(w_j) make the circle robust. Pixels weigh by the
-noise of the *model's* level: weights by the observed one would bias r.
+Sector j: I = B_j + D_j E(t) + f, E = erfc(t / sqrt 2) / 2, t = s / sig + sig / (2 r), s the distance from the outline. The last
+term of t is the curvature of the edge; without it r is low by sig^2 / (2 r). f is the limb term, see limb. B_j and D_j are
+eliminated (Schur), which leaves the offset e_j of the edge in each sector with its information w_j; Tukey's weights on
+e_j sqrt(w_j) make the outline robust. Pixels weigh by the noise of the *model's* level: weights by the observed one would bias r.
+A saturated pixel says only that its level is beyond.
 """
 
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 
 from trackerd.contract.model import Array, Image
 from trackerd.vision.annulus import Gathered, Ring, gather
-from trackerd.vision.convergence import PROFILE, RULES, TABLE_END, TABLE_STEPS, Blur, CircleFit, Sectors
+from trackerd.vision.convergence import (
+    DAWN,
+    DAWN_END,
+    DAWN_STEPS,
+    PROFILE,
+    RULES,
+    TABLE_END,
+    TABLE_STEPS,
+    CircleFit,
+    Sectors,
+    Start,
+)
+from trackerd.vision.curve import Curve
 from trackerd.vision.noise import NoiseModel
-from trackerd.vision.rays import Circle
 
 _EDGE, _BELL = (np.ascontiguousarray(column) for column in PROFILE.T)
 _EDGE_RISE, _BELL_RISE = np.diff(_EDGE), np.diff(_BELL)
@@ -27,7 +40,15 @@ class _Shape:
     x: float
     y: float
     r: float
-    blur_px2: Array  # as Blur
+    blur_px2: Array  # as in Start
+    limb_dn: Array
+    lamp: bool  # whether the limb's unknowns are a lamp's; else the harmonics of its strength
+
+    def limb_at(self, pixels: Ring) -> tuple[Array, Array]:
+        """The light's strength along each sector and towards the camera, (S, 1)."""
+        if self.lamp:
+            return (pixels.middle @ self.limb_dn[:2])[:, None], np.full((len(pixels.middle), 1), self.limb_dn[2])
+        return np.zeros((len(pixels.middle), 1)), (self.limb_dn[2] + pixels.middle @ self.limb_dn[:2])[:, None]
 
     def sigma_px(self, pixels: Ring) -> Array:
         """Blur of each sector, (S,)."""
@@ -36,70 +57,173 @@ class _Shape:
 
 
 @dataclass(frozen=True, slots=True)
+class _Seen:
+    """The pixels, what they are pixels of, and the sensor's rules for them."""
+
+    pixels: Ring
+    curve: Curve
+    level: Array  # (S, n)
+    weight: Array
+    noise: NoiseModel
+    saturated_dn: float
+    clipped: bool  # some pixels are saturated
+
+
+@dataclass(frozen=True, slots=True)
 class _Step:
-    delta: Array  # of x, y, r and the blur's variance
-    hessian: Array  # its normal matrix
+    delta: Array  # of x, y, r, the blur's variance and the limb term
+    covariance: Array
     weight: Array  # (S,)
-    scale: float  # of the sectors' errors, at least 1
-
-    def covariance(self) -> Array:
-        return np.asarray(np.linalg.inv(self.hessian)[:3, :3] * self.scale**2, np.float64)
+    towards: Array  # (S, k, m): d (e, sig, G) / d unknowns
 
 
-def converge(image: Image, pixels: Ring, start: Circle, blur_px2: Blur, noise: NoiseModel) -> CircleFit | None:
+def converge(image: Image, pixels: Ring, curve: Curve, start: Start, noise: NoiseModel) -> CircleFit | None:
     """The best fit near a start. None: it ran away, or the image does not determine a circle."""
-    column, row = round(start[0]), round(start[1])
-    seen = gather(image, pixels, column, row)
+    column, row = round(start.x_px), round(start.y_px)
+    shape = _Shape(
+        start.x_px - column, start.y_px - row, start.r_px, np.array(start.blur_px2), np.array(start.limb_dn), any(start.limb_dn)
+    )
+    gathered = gather(image, pixels, column, row)
+    weight = gathered.weight if curve.round else gathered.weight * _near(pixels, curve, shape)
     saturated_dn = noise.saturation_of(int(np.iinfo(image.dtype).max))
-    shape = _Shape(start[0] - column, start[1] - row, start[2], np.array(blur_px2))
-    end = _iterate(pixels, seen, shape, noise, saturated_dn)
+    clipped = bool(((gathered.level >= saturated_dn) & (weight > 0.0)).any())
+    seen = _Seen(pixels, curve, gathered.level, weight, noise, saturated_dn, clipped)
+    end = _iterate(seen, shape)
     if end is None:
         return None
     step, sectors, settled = end
+    blurs = 3 + len(shape.blur_px2)
     return CircleFit(
         column + shape.x,
         row + shape.y,
         shape.r,
+        shape.blur_px2,
+        shape.limb_dn,
         float(shape.sigma_px(pixels).max()),
-        step.covariance(),
+        step.covariance[:3, :3],
+        step.covariance[blurs:-2, blurs:-2],
         sectors,
         step.weight,
         float(np.median(sectors.chi2)),
-        _clipped_share(seen, saturated_dn),
+        _clipped_share(gathered, weight, saturated_dn),
         settled,
+        curve,
     )
 
 
-def _iterate(
-    pixels: Ring, seen: Gathered, shape: _Shape, noise: NoiseModel, saturated_dn: float
-) -> tuple[_Step, Sectors, bool] | None:
+def _iterate(seen: _Seen, shape: _Shape) -> tuple[_Step, Sectors, bool] | None:
     """Moves the shape to the best fit; last step, sectors, and whether it settled. None: no circle is determined near by."""
     levels: Array | None = None
     x, y, r = shape.x, shape.y, shape.r
     steps = int(RULES.steps)
     for n in range(steps):
-        normal, levels = _normal_matrices(pixels, seen, shape, levels, noise, saturated_dn)
-        reduced, levels = _eliminate_levels(normal, levels)
+        normal, levels = _normal_matrices(seen, shape, levels)
+        if n > 0:
+            _tie(normal, levels, _ambient_spread_dn(shape))
+        reduced, levels, coupling = _eliminate_levels(normal, levels, seen.saturated_dn)
         sectors = _sectors(reduced, levels, seen)
-        step = _robust_step(reduced, sectors, pixels, shape)
+        step = _robust_step(reduced, sectors, seen, shape)
         if step is None:
             return None
+        if seen.clipped:  # where levels are found beyond saturation they hang on the blur: they take the step with it
+            levels = levels - (coupling @ (step.towards @ step.delta)[:, :, None])[:, :, 0]
         _move(shape, step.delta)
         if not abs(shape.x - x) + abs(shape.y - y) + abs(shape.r - r) <= RULES.farthest_px:  # a NaN is no place either
             return None
-        settled = float(np.abs(step.delta[:3]).max()) < RULES.settled_px and _blur_settled(shape, step.delta[3:])
+        settled = float(np.abs(step.delta[:3]).max()) < RULES.settled_px * (
+            RULES.lamp_settled if shape.lamp else 1.0
+        ) and _blur_settled(shape, step.delta)
+        if len(shape.limb_dn) > 0 and not shape.lamp:
+            if settled or n >= RULES.harmonic_steps:
+                shape.limb_dn, shape.lamp = _lamp_of(levels, shape.limb_dn, step.weight, seen.pixels), True
+                levels = None
+            continue
         if settled or n == steps - 1:
             return step, sectors, settled
     return None
 
 
+def _lamp_of(levels: Array, harmonics_dn: Array, weight: Array, pixels: Ring) -> Array:
+    """The lamp that such levels and such a limb come from: half a cosine of light round the rim has half as strong a harmonic."""
+    design = np.column_stack((np.ones(len(weight)), pixels.middle))
+    weighted = design * weight[:, None]
+    side = 2.0 * np.linalg.solve(weighted.T @ design + 1e-6 * np.eye(3), weighted.T @ levels.sum(axis=1))[1:]
+    length = max(float(np.hypot(*side)), 1e-9)
+    return np.array((*side, harmonics_dn[2] + 0.8 * float(harmonics_dn[:2] @ side) / length))
+
+
+def _ambient_spread_dn(shape: _Shape) -> float | None:
+    """By how much the light that comes from everywhere may differ round the rim of a ball that a lamp shines on."""
+    lamp_dn = float(np.linalg.norm(shape.limb_dn))
+    return RULES.ambient_spread_dn + RULES.ambient_spread * lamp_dn if shape.lamp else None
+
+
+def _tie(normal: Array, levels: Array, ambient_spread_dn: float | None) -> None:
+    """Ties the levels outside, and those inside, to what the sectors have in common: as firmly as they are found to agree.
+
+    Free levels cost a sixth of the precision; equal ones assumed would bias the centre by any gradient of the light. So the
+    spread of the levels is taken from the sectors (empirical Bayes); those that stand out are left free. In `normal`, in place.
+    """
+    a, b, d = normal[:, 0, 0], normal[:, 0, 1].copy(), normal[:, 1, 1]
+    det = a * d - b * b
+    seeing = det > RULES.blind * a * d
+    det = np.where(seeing, det, 1.0)
+    base = levels[:, 0] + (d * normal[:, 0, -1] - b * normal[:, 1, -1]) / det
+    inside = base + levels[:, 1] + (a * normal[:, 1, -1] - b * normal[:, 0, -1]) / det
+    firm_base = _firmness(base, d / det, seeing, None)
+    firm_inside = _firmness(inside, (a - 2.0 * b + d) / det, seeing, ambient_spread_dn)
+    for towards, common, value, (weight, centre) in (
+        ((1.0, 0.0), -3, levels[:, 0], firm_base),
+        ((1.0, 1.0), -2, levels.sum(axis=1), firm_inside),
+    ):
+        slope = np.zeros(normal.shape[1])
+        slope[:2], slope[common] = towards, -1.0
+        row = np.broadcast_to(slope, (len(value), len(slope))).copy()
+        row[:, -1] = centre - value
+        normal += weight[:, None, None] * row[:, :, None] * row[:, None, :]
+
+
+def _firmness(value: Array, variance: Array, seeing: npt.NDArray[np.bool_], spread_dn: float | None) -> tuple[Array, float]:
+    """1 / variance of the levels about their centre, (S,), and the centre."""
+    if not seeing.any():
+        return np.zeros(len(value)), 0.0
+    centre = float(np.median(value[seeing]))
+    own = float(np.median(variance[seeing]))
+    deviation = np.abs(value - centre)
+    if spread_dn is None:
+        found = (1.4826 * float(np.median(deviation[seeing]))) ** 2
+        spread2 = max(found - own, 0.0) + RULES.least_spread_dn**2
+        near = deviation < RULES.stands_out * np.sqrt(spread2 + variance)
+    else:
+        spread2, near = spread_dn**2, np.ones(len(value), bool)
+    return np.asarray((near & seeing) / spread2), centre
+
+
 def _blur_settled(shape: _Shape, delta: Array) -> bool:
-    return len(delta) == 1 or float(np.abs(delta).max()) < RULES.blur_settled * float(shape.blur_px2[0])
+    blurs = len(shape.blur_px2)
+    return blurs == 1 or float(np.abs(delta[3 : 3 + blurs]).max()) < RULES.blur_settled * float(shape.blur_px2[0])
 
 
-def _clipped_share(seen: Gathered, saturated_dn: float) -> float:
-    clipped = (seen.level >= saturated_dn) * seen.weight
-    return float(clipped.sum() / max(float(seen.weight.sum()), 1.0))
+def _near(pixels: Ring, curve: Curve, shape: _Shape) -> Array:
+    """1 for the pixels that a ring round a circle would have, 0 for the others."""
+    s = _distance(pixels, curve, shape)
+    return np.asarray((s >= -pixels.inside_px) & (s <= pixels.outside_px), np.float64)
+
+
+def _clipped_share(gathered: Gathered, weight: Array, saturated_dn: float) -> float:
+    clipped = (gathered.level >= saturated_dn) * weight
+    return float(clipped.sum() / max(float(weight.sum()), 1.0))
+
+
+def _distance(pixels: Ring, curve: Curve, shape: _Shape) -> Array:
+    """Of the pixels (S, n) from the outline, along its normal; negative inside."""
+    dx, dy = pixels.dx - shape.x, pixels.dy - shape.y
+    rho = np.sqrt(dx * dx + dy * dy)
+    if curve.round:
+        return np.asarray(rho - shape.r)
+    angle = (dy * pixels.middle[:, 0, None] - dx * pixels.middle[:, 1, None]) / rho  # from the sector's middle
+    bulge, first, second, slant = (curve.bulge[:, n, None] for n in range(4))
+    return np.asarray((rho - shape.r - bulge - angle * (first + 0.5 * angle * second)) * slant)
 
 
 def _profile_at(t: Array) -> tuple[Array, Array]:
@@ -110,43 +234,130 @@ def _profile_at(t: Array) -> tuple[Array, Array]:
     return _EDGE.take(index) + share * _EDGE_RISE.take(index), _BELL.take(index) + share * _BELL_RISE.take(index)
 
 
-def _normal_matrices(
-    pixels: Ring, seen: Gathered, shape: _Shape, levels: Array | None, noise: NoiseModel, saturated_dn: float
-) -> tuple[Array, Array]:
-    """Normal matrices (S, 5, 5) over the columns (B, D, e, sig, residual), and the levels (S, 2) they are taken at."""
-    dx, dy = pixels.dx - shape.x, pixels.dy - shape.y
-    sigma = shape.sigma_px(pixels)[:, None]
-    scaled, bend = (np.sqrt(dx * dx + dy * dy) - shape.r) / sigma, sigma / (2.0 * shape.r)
+def _normal_matrices(seen: _Seen, shape: _Shape, levels: Array | None) -> tuple[Array, Array]:
+    """Normal matrices (S, c, c) over the columns (B, D, e, sig, the limb's two if it is free, residual), and the levels (S, 2)
+    they are taken at."""
+    sigma = shape.sigma_px(seen.pixels)[:, None]
+    distance = _distance(seen.pixels, seen.curve, shape)
+    scaled, bend = distance / sigma, sigma / (2.0 * shape.r)
     edge, bell = _profile_at(scaled + bend)
+    limb = len(shape.limb_dn) > 0
+    columns = np.empty((len(edge), 7 if limb else 5, edge.shape[1]))
+    light = _limb(columns, distance, scaled + bend, sigma, seen, shape) if limb else None
     if levels is None:
-        levels = _plain_levels(seen, edge)
+        levels = _plain_levels(seen.level if light is None else seen.level - light.level, seen.weight, edge)
     base, contrast = levels[:, 0, None], levels[:, 1, None]
     model = base + contrast * edge
-    weight = seen.weight / (np.maximum(model, 0.0) / noise.gain_e_per_dn + noise.floor_dn2)
-    saturated = (seen.level >= saturated_dn) & (model >= saturated_dn)  # by observation alone selects the brighter noise
-    weight[saturated] = 0.0
-    columns = np.empty((len(levels), 5, edge.shape[1]))
     columns[:, 0] = 1.0
     columns[:, 1] = edge
     columns[:, 2] = (contrast / sigma) * bell
+    if light is not None:
+        model += light.level
+        columns[:, 2] += light.slope
     columns[:, 3] = columns[:, 2] * (scaled - bend)
-    columns[:, 4] = seen.level - model
-    return np.asarray((columns * weight[:, None, :]) @ columns.transpose(0, 2, 1)), levels
+    if light is not None:
+        columns[:, 3] += light.rim * (0.5 / sigma)
+    variance = np.maximum(model, 0.0) / seen.noise.gain_e_per_dn + seen.noise.floor_dn2
+    columns[:, -1] = seen.level - model
+    weight = _censor(columns[:, -1], model, variance, seen) if seen.clipped else seen.weight / variance
+    own = (columns * weight[:, None, :]) @ columns.transpose(0, 2, 1)
+    last = own.shape[1] - 1
+    normal = np.zeros((len(own), last + 3, last + 3))
+    normal[:, :last, :last] = own[:, :last, :last]
+    normal[:, :last, -1], normal[:, -1, :last] = own[:, :last, -1], own[:, -1, :last]
+    normal[:, -1, -1] = own[:, -1, -1]
+    return normal, levels
 
 
-def _plain_levels(seen: Gathered, edge: Array) -> Array:
+@dataclass(frozen=True, slots=True)
+class _Light:
+    """The limb term, (S, n)."""
+
+    level: Array
+    rim: Array  # the part of it that goes with the root of the blur
+    slope: Array  # its change with the edge's offset
+
+
+def _limb(columns: Array, distance: Array, t: Array, sigma: Array, seen: _Seen, shape: _Shape) -> _Light:
+    """The lamp's light; in columns 4 and 5 its derivatives by the lamp's strength along the sector and towards the camera."""
+    along, towards = shape.limb_at(seen.pixels)
+    lit = (along >= 0.0) | (towards <= 0.0)
+    dawn = np.where(
+        lit, 0.0, np.sqrt(np.maximum(1.0 - towards / np.maximum(np.hypot(along, towards), 1e-9), 0.0) * shape.r / sigma)
+    )
+    root, rise = _dawn_at(t, dawn)
+    scale = np.sqrt(2.0 * sigma / shape.r) * np.sqrt(1.0 - np.minimum(np.maximum(-distance / (2.0 * shape.r), 0.0), 0.5))
+    deeper = t + dawn * dawn
+    share, bell = _profile_at(deeper)
+    fade = (sigma / shape.r) * (bell - deeper * share)
+    rim = towards * scale * root
+    columns[:, 4] = share - fade
+    columns[:, 5] = scale * root
+    columns[:, 5] -= np.where(lit, 0.0, along / np.where(lit, 1.0, towards)) * share
+    return _Light(
+        rim + along * (lit * share - fade),
+        rim,
+        np.asarray((along * (lit * bell) - towards * scale * rise) / sigma - (along / shape.r) * share),
+    )
+
+
+def _dawn_at(t: Array, u: Array) -> tuple[Array, Array]:
+    """T(t, u) and its slope by t, t (S, n) and u (S, 1); deeper than the table without the blur."""
+    last_row, last_column = len(DAWN) - 2, DAWN.shape[1] - 2
+    row = np.minimum(u * DAWN_STEPS, last_row)
+    k = row.astype(np.intp)
+    rows = DAWN[k[:, 0]] + (row - k)[:, :, None] * (DAWN[k[:, 0] + 1] - DAWN[k[:, 0]])  # (S, n, 2): each sector's own
+    place = np.minimum(np.maximum((t + TABLE_END) * DAWN_STEPS, 0.0), last_column)
+    i = place.astype(np.intp)
+    share = (place - i)[:, :, None]
+    sector = np.arange(len(t))[:, None]
+    found = rows[sector, i] * (1.0 - share) + rows[sector, i + 1] * share
+    depth = np.maximum(-t, 1.0)
+    second = 0.125 / (depth * depth)
+    deep = (t < -TABLE_END) | (u > DAWN_END)
+    root = np.sqrt(depth)
+    beyond = root * (1.0 - second) - u
+    seen = beyond > 0.0
+    rise = -0.5 / root * (1.0 + 3.0 * second)
+    return (
+        np.where(deep, np.where(seen, beyond, 0.0), found[:, :, 0]),
+        np.where(deep, np.where(seen, rise, 0.0), found[:, :, 1]),
+    )
+
+
+def _censor(residual: Array, model: Array, variance: Array, seen: _Seen) -> Array:
+    """The weights (S, n) of pixels some of which are saturated, and in `residual` what to compare those with.
+
+    A saturated pixel says only that its level is beyond: the score of its likelihood is the hazard of the normal distribution
+    (Tobin 1958). Dropping such pixels would select the darker noise of the others.
+    """
+    weight = seen.weight / variance
+    clipped = seen.level >= seen.saturated_dn
+    sd = np.sqrt(variance[clipped])
+    below = np.minimum((seen.saturated_dn - 0.5 - model[clipped]) / sd, RULES.farthest_below)
+    beyond, bell = _profile_at(below)
+    hazard = bell / np.maximum(beyond, 1e-30)
+    excess = np.maximum(hazard - below, 1e-3)
+    residual[clipped] = sd / excess
+    weight[clipped] *= hazard * excess
+    return np.asarray(weight)
+
+
+def _plain_levels(level: Array, weight: Array, edge: Array) -> Array:
     """B and D of each sector, (S, 2), by least squares with equal weights."""
-    w, we = seen.weight, seen.weight * edge
+    w, we = weight, weight * edge
     n, e, ee = w.sum(1), we.sum(1), (we * edge).sum(1)
-    y, ye = (w * seen.level).sum(1), (we * seen.level).sum(1)
+    y, ye = (w * level).sum(1), (we * level).sum(1)
     det = n * ee - e * e
     contrast = np.where(det > RULES.blind * n * ee, (n * ye - e * y) / np.maximum(det, 1e-3), 0.0)
     return np.column_stack(((y - contrast * e) / np.maximum(n, 1.0), contrast))
 
 
-def _eliminate_levels(normal: Array, levels: Array) -> tuple[Array, Array]:
-    """Schur complement (S, 3, 3) over (e, sig, residual), and the levels at the best fit with the circle as it is."""
-    a, b, d = normal[:, 0, 0], normal[:, 0, 1], normal[:, 1, 1]
+def _eliminate_levels(normal: Array, levels: Array, saturated_dn: float) -> tuple[Array, Array, Array]:
+    """Schur complement (S, c - 2, c - 2) over (e, sig, G, residual), the levels at the best fit with the circle as it is, and
+    minus their change with (e, sig, G), (S, 2, c - 3)."""
+    damping = 1.0 / saturated_dn**2  # a level that saturates may be anything: it is not sent to infinity
+    a, b, d = normal[:, 0, 0] + damping, normal[:, 0, 1], normal[:, 1, 1] + damping
     det = a * d - b * b
     blind = det <= RULES.blind * a * d
     det = np.where(blind, 1.0, det)
@@ -155,19 +366,19 @@ def _eliminate_levels(normal: Array, levels: Array) -> tuple[Array, Array]:
     solved[:, 0] = (d[:, None] * c[:, 0] - b[:, None] * c[:, 1]) / det[:, None]
     solved[:, 1] = (a[:, None] * c[:, 1] - b[:, None] * c[:, 0]) / det[:, None]
     reduced = np.where(blind[:, None, None], 0.0, normal[:, 2:, 2:] - c.transpose(0, 2, 1) @ solved)
-    return reduced, levels + solved[:, :, 2]
+    return reduced, levels + solved[:, :, -1], solved[:, :, :-1]
 
 
-def _sectors(reduced: Array, levels: Array, seen: Gathered) -> Sectors:
+def _sectors(reduced: Array, levels: Array, seen: _Seen) -> Sectors:
     information = np.maximum(reduced[:, 0, 0], 1e-9)
-    offset = np.minimum(np.maximum(reduced[:, 0, 2] / information, -2.0), 2.0)
+    offset = np.minimum(np.maximum(reduced[:, 0, -1] / information, -2.0), 2.0)
     freedom = np.maximum(seen.weight.sum(axis=1) - 3.0, 1.0)
-    chi2 = np.maximum(reduced[:, 2, 2] - reduced[:, 0, 2] ** 2 / information, 0.0) / freedom
+    chi2 = np.maximum(reduced[:, -1, -1] - reduced[:, 0, -1] ** 2 / information, 0.0) / freedom
     contrast = levels[:, 1]
     return Sectors(contrast, levels[:, 0] + 0.5 * contrast, offset, information, chi2)
 
 
-def _robust_step(reduced: Array, sectors: Sectors, pixels: Ring, shape: _Shape) -> _Step | None:
+def _robust_step(reduced: Array, sectors: Sectors, seen: _Seen, shape: _Shape) -> _Step | None:
     """None: too few sectors know where their edge is."""
     normalised = sectors.offset_px * np.sqrt(sectors.information)
     telling = sectors.information > 1.0  # knows its edge to 1 px
@@ -175,29 +386,42 @@ def _robust_step(reduced: Array, sectors: Sectors, pixels: Ring, shape: _Shape) 
         return None
     deviations = np.sort(np.abs(normalised[telling]))
     scale = max(1.0, 1.4826 * float(deviations[len(deviations) // 2]))
-    weight = np.maximum(1.0 - (normalised * (1.0 / (RULES.tukey * scale))) ** 2, 0.0) ** 2
     ordered = np.sort(sectors.chi2[telling])
-    poor = RULES.poor_chi2 * max(1.0, float(ordered[3 * len(ordered) // 4]) if len(shape.blur_px2) > 1 else 1.0)
+    free = len(shape.blur_px2) > 1 or len(shape.limb_dn) > 0
+    poor = RULES.poor_chi2 * max(1.0, float(ordered[3 * len(ordered) // 4]) if free else 1.0)
+    weight = np.maximum(1.0 - (normalised * (1.0 / (RULES.tukey * scale))) ** 2, 0.0) ** 2
     weight *= np.minimum(1.0, poor / np.maximum(sectors.chi2, 1e-6)) ** 2 * telling
-    blurs = len(shape.blur_px2)
-    blur_design = pixels.blur_design[:, :blurs] * (0.5 / shape.sigma_px(pixels))[:, None]  # d sig / d unknown
-    weighted, weighted_blur = pixels.design * weight[:, None], blur_design * weight[:, None]
-    hessian, right = np.empty((3 + blurs, 3 + blurs)), np.empty(3 + blurs)
-    hessian[:3, :3] = (weighted * sectors.information[:, None]).T @ pixels.design
-    hessian[:3, 3:] = (weighted * reduced[:, 0, 1, None]).T @ blur_design
-    hessian[3:, :3] = hessian[:3, 3:].T
-    hessian[3:, 3:] = (weighted_blur * reduced[:, 1, 1, None]).T @ blur_design
-    hessian.flat[:: 4 + blurs] += 1e-6
-    right[:3] = weighted.T @ (sectors.information * sectors.offset_px)
-    right[3:] = weighted_blur.T @ reduced[:, 1, 2]
-    return _Step(np.asarray(np.linalg.solve(hessian, right), np.float64), hessian, weight, scale)
+    towards = _towards(seen, shape)
+    k = towards.shape[1]
+    weighted = towards.transpose(0, 2, 1) * weight[:, None, None]
+    hessian = (weighted @ reduced[:, :k, :k] @ towards).sum(axis=0)
+    hessian.flat[:: len(hessian) + 1] += 1e-6
+    residual = reduced[:, :k, -1].copy()
+    residual[:, 0] = sectors.information * sectors.offset_px
+    right = (weighted @ residual[:, :, None]).sum(axis=0)[:, 0]
+    inverse = np.linalg.inv(hessian)
+    return _Step(np.asarray(inverse @ right, np.float64), inverse, weight, towards)
+
+
+def _towards(seen: _Seen, shape: _Shape) -> Array:
+    blurs, limbs = len(shape.blur_px2), len(shape.limb_dn)
+    towards = np.zeros((len(seen.curve.design), 6 if limbs else 4, 5 + blurs + limbs))
+    towards[:, 0, :3] = seen.curve.design
+    towards[:, 1, 3 : 3 + blurs] = seen.pixels.blur_design[:, :blurs] * (0.5 / shape.sigma_px(seen.pixels))[:, None]
+    if limbs:
+        towards[:, 2 if shape.lamp else 3, 3 + blurs : 5 + blurs] = seen.pixels.middle
+        towards[:, 3, 5 + blurs] = 1.0
+    towards[:, -2, -2] = towards[:, -1, -1] = 1.0
+    return towards
 
 
 def _move(shape: _Shape, delta: Array) -> None:
     """Take a step, kept short: the model is linear over about one blur."""
+    blurs = len(shape.blur_px2)
     dx, dy, dr = (float(v) for v in np.minimum(np.maximum(delta[:3], -1.5), 1.5))
     shape.x, shape.y, shape.r = shape.x + dx, shape.y + dy, shape.r + dr
     most = 0.6 * float(shape.blur_px2[0])
-    blur = shape.blur_px2 + np.minimum(np.maximum(delta[3:], -most), most)
+    blur = shape.blur_px2 + np.minimum(np.maximum(delta[3 : 3 + blurs], -most), most)
     blur[0] = min(max(blur[0], RULES.least_px2), RULES.most_px2)
     shape.blur_px2 = blur
+    shape.limb_dn = shape.limb_dn + delta[3 + blurs : -2]

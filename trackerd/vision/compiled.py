@@ -1,10 +1,12 @@
 """The circle fit's iteration for numba: the maths of by_numpy step by step, without the interpreter and without its lock.
 
 numba's cache on disk looks at this file alone: what may change elsewhere (rules, tables) is an argument.
+
+Columns of a sector's normal matrix: B, D, e, sig, (along, towards where the limb is free,) common B, common F, residual.
 """
 
 from collections.abc import Callable
-from math import sqrt
+from math import hypot, sqrt
 from typing import Any, TypeVar
 
 import numba
@@ -28,53 +30,156 @@ def _kept(function: _F) -> _F:
     return kept
 
 
+# ---- the model of a pixel ---------------------------------------------------------------------------------------------
+
+
 @_part
-def _sigma(shape: Array, blur_design: Array, s: int, rules: Rules) -> float:
+def _sigma(blur: Array, blur_design: Array, s: int, rules: Rules) -> float:
     variance = 0.0
-    for i in range(len(shape) - 3):
-        variance += blur_design[s, i] * shape[3 + i]
+    for i in range(len(blur)):
+        variance += blur_design[s, i] * blur[i]
     return sqrt(min(max(variance, rules.least_px2), rules.most_px2))
 
 
 @_part
-def _normal_matrix(
-    seen: Any, shape: Array, sigma: float, levels: Array, first: bool, profile: Array, rules: Rules, sensor: Sensor
+def _distance(dx: float, dy: float, r: float, cosine: float, sine: float, bulge: Any, curved: bool) -> float:
+    rho = sqrt(dx * dx + dy * dy)
+    if not curved:
+        return rho - r
+    angle = (dy * cosine - dx * sine) / rho
+    return float((rho - r - bulge[0] - angle * (bulge[1] + 0.5 * angle * bulge[2])) * bulge[3])
+
+
+@_part
+def _profile_at(t: float, profile: Array, rules: Rules) -> Any:
+    place = min(max((t + rules.table_end) * rules.table_steps, 0.0), 2.0 * rules.table_end * rules.table_steps)
+    i = int(place)
+    share = place - i
+    edge = profile[i, 0] + share * (profile[i + 1, 0] - profile[i, 0])
+    return edge, profile[i, 1] + share * (profile[i + 1, 1] - profile[i, 1])
+
+
+@_part
+def _dawn_at(t: float, u: float, dawn: Any, rules: Rules) -> Any:
+    if t < -rules.table_end or u > rules.dawn_end:
+        depth = max(-t, 1.0)
+        second, root = 0.125 / (depth * depth), sqrt(depth)
+        beyond = root * (1.0 - second) - u
+        return (beyond, -0.5 / root * (1.0 + 3.0 * second)) if beyond > 0.0 else (0.0, 0.0)
+    row = min(u * rules.dawn_steps, len(dawn) - 2.0)
+    place = min(max((t + rules.table_end) * rules.dawn_steps, 0.0), dawn.shape[1] - 2.0)
+    k, i = int(row), int(place)
+    a, b = row - k, place - i
+    left = dawn[k, i, 0] + a * (dawn[k + 1, i, 0] - dawn[k, i, 0])
+    right = dawn[k, i + 1, 0] + a * (dawn[k + 1, i + 1, 0] - dawn[k, i + 1, 0])
+    left_rise = dawn[k, i, 1] + a * (dawn[k + 1, i, 1] - dawn[k, i, 1])
+    right_rise = dawn[k, i + 1, 1] + a * (dawn[k + 1, i + 1, 1] - dawn[k, i + 1, 1])
+    return left * (1.0 - b) + right * b, left_rise * (1.0 - b) + right_rise * b
+
+
+@_part
+def _light(
+    distance: float, t: float, along: float, towards: float, sigma: float, r: float, profile: Array, dawn: Any, rules: Rules
 ) -> Any:  # fmt: skip
-    """The 15 sums over (B, D, e, sig, residual) of one sector, row by row. `seen` (3, n) is place and grey value."""
-    n, inverse, bend = seen.shape[1], 1.0 / sigma, sigma / (2.0 * shape[2])
+    """Level, its part that goes with the root of the blur, its slope over e; derivatives by along and towards."""
+    lit = along >= 0.0 or towards <= 0.0
+    u = 0.0 if lit else sqrt(max(1.0 - towards / max(hypot(along, towards), 1e-9), 0.0) * r / sigma)
+    root, rise = _dawn_at(t, u, dawn, rules)
+    scale = sqrt(2.0 * sigma / r) * sqrt(1.0 - min(max(-distance / (2.0 * r), 0.0), 0.5))
+    deeper = t + u * u
+    share, bell = _profile_at(deeper, profile, rules)
+    fade = (sigma / r) * (bell - deeper * share)
+    rim = towards * scale * root
+    if lit:
+        slope = (along * bell - towards * scale * rise) / sigma - (along / r) * share
+        return rim + along * (share - fade), rim, slope, share - fade, scale * root
+    slope = -towards * scale * rise / sigma - (along / r) * share
+    return rim - along * fade, rim, slope, share - fade, scale * root - along / towards * share
+
+
+@_part
+def _weigh_pixel(level: float, model: float, profile: Array, sensor: Sensor, rules: Rules) -> Any:
+    """Weight, and what it is of: the residual; a saturated pixel only says that its level is beyond."""
+    variance = max(model, 0.0) * sensor.dn_per_e + sensor.floor_dn2
+    if level < sensor.saturated_dn:
+        return 1.0 / variance, level - model
+    sd = sqrt(variance)
+    below = min((sensor.saturated_dn - sensor.rounded_dn - model) / sd, rules.farthest_below)
+    beyond, bell = _profile_at(below, profile, rules)
+    hazard = bell / max(beyond, 1e-30)
+    excess = max(hazard - below, 1e-3)
+    return hazard * excess / variance, sd / excess
+
+
+# ---- one sector -------------------------------------------------------------------------------------------------------
+
+
+@_part
+def _add_pixels(
+    normal: Array, seen: Any, shape: Array, sigma: float, cosine: float, sine: float, bulge: Any, curved: bool,
+    levels: Array, first: bool, profile: Array, rules: Rules, sensor: Sensor,
+) -> None:  # fmt: skip
+    """The sums of one sector without a limb term. `seen` (3, n) is place and grey value."""
+    n, inverse, bend, r = seen.shape[1], 1.0 / sigma, sigma / (2.0 * shape[2]), shape[2]
     scaled, edge, bell = np.empty(n), np.empty(n), np.empty(n)
-    end, last = rules.table_end, 2.0 * rules.table_end * rules.table_steps
     for k in range(n):
-        dx, dy = seen[0, k] - shape[0], seen[1, k] - shape[1]
-        scaled[k] = (sqrt(dx * dx + dy * dy) - shape[2]) * inverse
-        place = min(max((scaled[k] + bend + end) * rules.table_steps, 0.0), last)
-        i = int(place)
-        share = place - i
-        edge[k] = profile[i, 0] * (1.0 - share) + profile[i + 1, 0] * share
-        bell[k] = profile[i, 1] * (1.0 - share) + profile[i + 1, 1] * share
+        scaled[k] = _distance(seen[0, k] - shape[0], seen[1, k] - shape[1], r, cosine, sine, bulge, curved) / sigma
+        edge[k], bell[k] = _profile_at(scaled[k] + bend, profile, rules)
     if first:
         _plain_levels(seen[2], edge, levels, rules)
     base, contrast = levels[0], levels[1]
     slope = contrast * inverse
     a00 = a01 = a02 = a03 = a04 = a11 = a12 = a13 = a14 = a22 = a23 = a24 = a33 = a34 = a44 = 0.0
     for k in range(n):
-        e, level = edge[k], seen[2, k]
-        model = base + contrast * e
-        weight = 1.0 / (max(model, 0.0) * sensor.dn_per_e + sensor.floor_dn2)
-        if level >= sensor.saturated_dn and model >= sensor.saturated_dn:
-            weight = 0.0
+        e = edge[k]
+        weight, residual = _weigh_pixel(seen[2, k], base + contrast * e, profile, sensor, rules)
         d = slope * bell[k]
-        b, residual = d * (scaled[k] - bend), level - model
+        b = d * (scaled[k] - bend)
         we, wd, wb, wr = weight * e, weight * d, weight * b, weight * residual
         a00, a01, a02, a03, a04 = a00 + weight, a01 + we, a02 + wd, a03 + wb, a04 + wr
         a11, a12, a13, a14 = a11 + we * e, a12 + we * d, a13 + we * b, a14 + we * residual
         a22, a23, a24 = a22 + wd * d, a23 + wd * b, a24 + wd * residual
         a33, a34, a44 = a33 + wb * b, a34 + wb * residual, a44 + wr * residual
-    return a00, a01, a02, a03, a04, a11, a12, a13, a14, a22, a23, a24, a33, a34, a44
+    normal[0, 0], normal[0, 1], normal[0, 2], normal[0, 3], normal[0, 6] = a00, a01, a02, a03, a04
+    normal[1, 1], normal[1, 2], normal[1, 3], normal[1, 6] = a11, a12, a13, a14
+    normal[2, 2], normal[2, 3], normal[2, 6] = a22, a23, a24
+    normal[3, 3], normal[3, 6], normal[6, 6] = a33, a34, a44
 
 
 @_part
-def _plain_levels(level: Any, edge: Array, levels: Array, rules: Rules) -> None:
+def _add_shaded_pixels(
+    normal: Array, seen: Any, shape: Array, sigma: float, cosine: float, sine: float, bulge: Any, curved: bool,
+    along: float, towards: float, levels: Array, first: bool, profile: Array, dawn: Any, rules: Rules, sensor: Sensor,
+) -> None:  # fmt: skip
+    """The same with one."""
+    n, bend, r = seen.shape[1], sigma / (2.0 * shape[2]), shape[2]
+    columns, level, scaled = np.empty((7, n)), np.empty(n), np.empty(n)
+    bell, rim = np.empty(n), np.empty(n)
+    for k in range(n):
+        distance = _distance(seen[0, k] - shape[0], seen[1, k] - shape[1], r, cosine, sine, bulge, curved)
+        scaled[k] = distance / sigma
+        columns[1, k], bell[k] = _profile_at(scaled[k] + bend, profile, rules)
+        level[k], rim[k], columns[2, k], columns[4, k], columns[5, k] = _light(
+            distance, scaled[k] + bend, along, towards, sigma, r, profile, dawn, rules
+        )
+    if first:
+        _plain_levels(seen[2] - level, columns[1], levels, rules)
+    base, contrast = levels[0], levels[1]
+    place = (0, 1, 2, 3, 4, 5, len(normal) - 1)
+    for k in range(n):
+        model = base + contrast * columns[1, k] + level[k]
+        weight, columns[6, k] = _weigh_pixel(seen[2, k], model, profile, sensor, rules)
+        columns[0, k] = 1.0
+        columns[2, k] += contrast / sigma * bell[k]
+        columns[3, k] = columns[2, k] * (scaled[k] - bend) + rim[k] * (0.5 / sigma)
+        for i in range(7):
+            w = weight * columns[i, k]
+            for j in range(i, 7):
+                normal[place[i], place[j]] += w * columns[j, k]
+
+
+@_part
+def _plain_levels(level: Any, edge: Any, levels: Array, rules: Rules) -> None:
     n, e, ee, y, ye = float(len(edge)), 0.0, 0.0, 0.0, 0.0
     for k in range(len(edge)):
         e, ee, y, ye = e + edge[k], ee + edge[k] * edge[k], y + level[k], ye + edge[k] * level[k]
@@ -84,54 +189,36 @@ def _plain_levels(level: Any, edge: Array, levels: Array, rules: Rules) -> None:
 
 
 @_part
-def _eliminate_levels(normal: Any, levels: Array, reduced: Array, rules: Rules) -> None:
-    """Schur complement over (e, sig, residual), row by row, and the levels at the best fit with the circle as it is."""
-    a, b, c02, c03, c04, d, c12, c13, c14, a22, a23, a24, a33, a34, a44 = normal
+def _eliminate_levels(normal: Array, levels: Array, reduced: Array, coupling: Array, sensor: Sensor, rules: Rules) -> None:
+    """Schur complement, the levels at the best fit with the circle as it is, and minus their change with the other columns."""
+    damping, last = 1.0 / sensor.saturated_dn**2, len(normal) - 1
+    a, b, d = normal[0, 0] + damping, normal[0, 1], normal[1, 1] + damping
     det = a * d - b * b
     if det <= rules.blind * a * d:
         reduced[:] = 0.0
+        coupling[:] = 0.0
         return
-    s02, s12 = (d * c02 - b * c12) / det, (a * c12 - b * c02) / det
-    s03, s13 = (d * c03 - b * c13) / det, (a * c13 - b * c03) / det
-    s04, s14 = (d * c04 - b * c14) / det, (a * c14 - b * c04) / det
-    reduced[0] = a22 - c02 * s02 - c12 * s12
-    reduced[1] = a23 - c02 * s03 - c12 * s13
-    reduced[2] = a24 - c02 * s04 - c12 * s14
-    reduced[3] = a33 - c03 * s03 - c13 * s13
-    reduced[4] = a34 - c03 * s04 - c13 * s14
-    reduced[5] = a44 - c04 * s04 - c14 * s14
-    levels[0] += s04
-    levels[1] += s14
+    for j in range(2, last + 1):
+        c0, c1 = normal[0, j], normal[1, j]
+        coupling[0, j - 2], coupling[1, j - 2] = (d * c0 - b * c1) / det, (a * c1 - b * c0) / det
+    for i in range(2, last + 1):
+        for j in range(i, last + 1):
+            value = normal[i, j] - normal[0, i] * coupling[0, j - 2] - normal[1, i] * coupling[1, j - 2]
+            reduced[i - 2, j - 2], reduced[j - 2, i - 2] = value, value
+    levels[0] += coupling[0, last - 2]
+    levels[1] += coupling[1, last - 2]
 
 
 @_part
 def _say(said: Array, levels: Array, reduced: Array, pixels: int) -> None:
-    information = max(reduced[0], 1e-9)
+    last = len(reduced) - 1
+    information = max(reduced[0, 0], 1e-9)
     said[0], said[1] = levels[1], levels[0] + 0.5 * levels[1]
-    said[2], said[3] = min(max(reduced[2] / information, -2.0), 2.0), information
-    said[4] = max(reduced[5] - reduced[2] ** 2 / information, 0.0) / max(pixels - 3.0, 1.0)
+    said[2], said[3] = min(max(reduced[0, last] / information, -2.0), 2.0), information
+    said[4] = max(reduced[last, last] - reduced[0, last] ** 2 / information, 0.0) / max(pixels - 3.0, 1.0)
 
 
-@_part
-def _weigh(said: Array, free_blur: bool, rules: Rules) -> float:
-    """Tukey's weights; the scale of the sectors' errors, 0 where too few sectors know where their edge is."""
-    sectors = said.shape[1]
-    deviations, chi2, told = np.empty(sectors), np.empty(sectors), 0
-    for s in range(sectors):
-        if said[3, s] > 1.0:
-            deviations[told], chi2[told] = abs(said[2, s]) * sqrt(said[3, s]), said[4, s]
-            told += 1
-    if told < sectors // 3:
-        return 0.0
-    _sort(deviations[:told])
-    _sort(chi2[:told])
-    scale = max(1.0, 1.4826 * deviations[told // 2])
-    poor = rules.poor_chi2 * (max(1.0, chi2[3 * told // 4]) if free_blur else 1.0)
-    for s in range(sectors):
-        normalised = said[2, s] * sqrt(said[3, s]) / (rules.tukey * scale)
-        weight = max(1.0 - normalised**2, 0.0) ** 2 * min(1.0, poor / max(said[4, s], 1e-6)) ** 2
-        said[5, s] = weight if said[3, s] > 1.0 else 0.0
-    return float(scale)
+# ---- all sectors ------------------------------------------------------------------------------------------------------
 
 
 @_part
@@ -146,23 +233,129 @@ def _sort(values: Array) -> None:
 
 
 @_part
+def _median(values: Array, kept: Any, scratch: Array) -> float:
+    n = 0
+    for s in range(len(values)):
+        if kept[s]:
+            scratch[n] = values[s]
+            n += 1
+    _sort(scratch[:n])
+    return float(0.5 * (scratch[(n - 1) // 2] + scratch[n // 2]))
+
+
+@_part
+def _firmness(value: Array, variance: Array, seeing: Any, spread_dn: float, firm: Array, rules: Rules) -> float:
+    """1 / variance of the levels about their centre, into firm (S,); the centre. A negative spread is to be found."""
+    scratch, deviation = np.empty(len(value)), np.empty(len(value))
+    centre = _median(value, seeing, scratch)
+    for s in range(len(value)):
+        deviation[s] = abs(value[s] - centre)
+    spread2 = spread_dn**2
+    if spread_dn < 0.0:
+        found = (1.4826 * _median(deviation, seeing, scratch)) ** 2
+        spread2 = max(found - _median(variance, seeing, scratch), 0.0) + rules.least_spread_dn**2
+    for s in range(len(value)):
+        near = spread_dn >= 0.0 or deviation[s] < rules.stands_out * sqrt(spread2 + variance[s])
+        firm[s] = 1.0 / spread2 if near and seeing[s] else 0.0
+    return centre
+
+
+@_part
+def _tie(normal: Array, levels: Array, ambient_spread_dn: float, rules: Rules) -> None:
+    """Ties the levels outside, and those inside, to what the sectors have in common."""
+    sectors, last = len(normal), normal.shape[1] - 1
+    value, variance = np.empty((2, sectors)), np.empty((2, sectors))
+    seeing, firm, any_seeing = np.zeros(sectors, np.bool_), np.empty(sectors), False
+    for s in range(sectors):
+        m = normal[s]
+        a, b, d = m[0, 0], m[0, 1], m[1, 1]
+        det = a * d - b * b
+        seeing[s] = det > rules.blind * a * d
+        any_seeing = any_seeing or seeing[s]
+        det = det if seeing[s] else 1.0
+        value[0, s] = levels[s, 0] + (d * m[0, last] - b * m[1, last]) / det
+        value[1, s] = value[0, s] + levels[s, 1] + (a * m[1, last] - b * m[0, last]) / det
+        variance[0, s], variance[1, s] = d / det, (a - 2.0 * b + d) / det
+    if not any_seeing:
+        return
+    for end in range(2):
+        centre = _firmness(value[end], variance[end], seeing, ambient_spread_dn if end == 1 else -1.0, firm, rules)
+        common = last - 2 + end
+        for s in range(sectors):
+            m, w = normal[s], firm[s]
+            gap = centre - levels[s, 0] - end * levels[s, 1]
+            for i in range(end + 1):
+                for j in range(i, end + 1):
+                    m[i, j] += w
+                m[i, common] -= w
+                m[i, last] += w * gap
+            m[common, common] += w
+            m[common, last] -= w * gap
+            m[last, last] += w * gap * gap
+
+
+@_part
+def _weigh(said: Array, relative: bool, rules: Rules) -> bool:
+    """Tukey's weights; False where too few sectors know where their edge is."""
+    sectors = said.shape[1]
+    deviations, chi2, told = np.empty(sectors), np.empty(sectors), 0
+    for s in range(sectors):
+        if said[3, s] > 1.0:
+            deviations[told], chi2[told] = abs(said[2, s]) * sqrt(said[3, s]), said[4, s]
+            told += 1
+    if told < sectors // 3:
+        return False
+    _sort(deviations[:told])
+    _sort(chi2[:told])
+    scale = max(1.0, 1.4826 * deviations[told // 2])
+    poor = rules.poor_chi2 * (max(1.0, chi2[3 * told // 4]) if relative else 1.0)
+    for s in range(sectors):
+        normalised = said[2, s] * sqrt(said[3, s]) / (rules.tukey * scale)
+        weight = max(1.0 - normalised**2, 0.0) ** 2 * min(1.0, poor / max(said[4, s], 1e-6)) ** 2
+        said[5, s] = weight if said[3, s] > 1.0 else 0.0
+    return True
+
+
+@_part
+def _point(towards: Array, column: Any, s: int, design: Any, blur_design: Any, middle: Any, shape: Any, blurs: int,
+           limbs: int, lamp: bool, rules: Rules) -> None:  # fmt: skip
+    """Which column of the sector each unknown moves, and by how much."""
+    half = 0.5 / _sigma(shape[3 : 3 + blurs], blur_design, s, rules)  # d sig / d unknown
+    for i in range(3):
+        towards[i], column[i] = design[s, i], 0
+    for i in range(blurs):
+        towards[3 + i], column[3 + i] = blur_design[s, i] * half, 1
+    first = 3 + blurs
+    if limbs:
+        towards[first], towards[first + 1], towards[first + 2] = middle[s, 0], middle[s, 1], 1.0
+        column[first] = column[first + 1] = 2 if lamp else 3
+        column[first + 2] = 3
+    last = 4 if limbs else 2
+    towards[first + limbs], towards[first + limbs + 1] = 1.0, 1.0
+    column[first + limbs], column[first + limbs + 1] = last, last + 1
+
+
+@_part
 def _solve(
-    said: Array, reduced: Array, design: Array, blur_design: Array, shape: Array, rules: Rules, normal: Array, delta: Array
-) -> None:
-    """The step of (x, y, r, blur); the inverse of its normal matrix, (n, n), in the right half of `normal`."""
+    said: Array, reduced: Array, design: Array, blur_design: Array, middle: Array, shape: Array, blurs: int, limbs: int,
+    lamp: bool, rules: Rules, normal: Array, delta: Array, towards: Array, column: Any,
+) -> None:  # fmt: skip
+    """The step of all unknowns; the inverse of its normal matrix, (n, n), in the right half of `normal`."""
     normal[:] = 0.0
-    size, right, towards = len(shape), np.zeros(len(shape)), np.empty(len(shape))
+    size, right, last = len(delta), np.zeros(len(delta)), reduced.shape[1] - 1
     for s in range(said.shape[1]):
-        weight, half = said[5, s], 0.5 / _sigma(shape, blur_design, s, rules)  # d sig / d unknown
+        _point(towards[s], column, s, design, blur_design, middle, shape, blurs, limbs, lamp, rules)
+        weight, own = said[5, s], reduced[s]
+        if weight == 0.0:
+            continue
         for i in range(size):
-            towards[i] = design[s, i] if i < 3 else blur_design[s, i - 3] * half
-        for i in range(size):
-            w = weight * towards[i]
-            right[i] += w * (said[3, s] * said[2, s] if i < 3 else reduced[s, 4])
-            for k in range(size):
-                both = said[3, s] if i < 3 and k < 3 else (reduced[s, 3] if i >= 3 and k >= 3 else reduced[s, 1])
-                normal[i, k] += w * towards[k] * both
+            w, a = weight * towards[s, i], column[i]
+            right[i] += w * (said[3, s] * said[2, s] if a == 0 else own[a, last])
+            for k in range(i, size):
+                normal[i, k] += w * towards[s, k] * own[a, column[k]]
     for i in range(size):
+        for k in range(i):
+            normal[i, k] = normal[k, i]
         normal[i, i] += 1e-6
         normal[i, size + i] = 1.0
     _invert(normal)
@@ -192,32 +385,67 @@ def _invert(both: Array) -> None:
 
 
 @_part
-def _move(shape: Array, delta: Array, rules: Rules) -> None:
+def _follow(levels: Array, coupling: Array, towards: Array, column: Any, delta: Array) -> None:
+    """The levels take the step with the shape."""
+    for s in range(len(levels)):
+        for i in range(len(delta)):
+            moved = towards[s, i] * delta[i]
+            levels[s, 0] -= coupling[s, 0, column[i]] * moved
+            levels[s, 1] -= coupling[s, 1, column[i]] * moved
+
+
+# ---- the iteration ----------------------------------------------------------------------------------------------------
+
+
+@_part
+def _move(shape: Array, delta: Array, blurs: int, rules: Rules) -> None:
     """Take a step, kept short: the model is linear over about one blur."""
     most = 0.6 * shape[3]
     for i in range(len(shape)):
-        longest = 1.5 if i < 3 else most
+        longest = 1.5 if i < 3 else most if i < 3 + blurs else 1e9
         shape[i] += min(max(delta[i], -longest), longest)
     shape[3] = min(max(shape[3], rules.least_px2), rules.most_px2)
 
 
 @_part
-def _has_settled(shape: Array, delta: Array, rules: Rules) -> bool:
-    for i in range(len(shape) if len(shape) > 4 else 3):
-        if not abs(delta[i]) < (rules.settled_px if i < 3 else rules.blur_settled * shape[3]):
+def _has_settled(shape: Array, delta: Array, blurs: int, settled_px: float, rules: Rules) -> bool:
+    for i in range(3 + blurs if blurs > 1 else 3):
+        if not abs(delta[i]) < (settled_px if i < 3 else rules.blur_settled * shape[3]):
             return False
     return True
 
 
 @_part
+def _lamp_of(limb: Array, levels: Array, weight: Array, middle: Array) -> None:
+    """From the harmonics of a limb to the lamp that such levels and such a limb come from. In place."""
+    both = np.zeros((3, 6))
+    right, row = np.zeros(3), np.empty(3)
+    for s in range(len(weight)):
+        row[0], row[1], row[2] = 1.0, middle[s, 0], middle[s, 1]
+        for i in range(3):
+            right[i] += weight[s] * row[i] * (levels[s, 0] + levels[s, 1])
+            for k in range(3):
+                both[i, k] += weight[s] * row[i] * row[k]
+    for i in range(3):
+        both[i, i] += 1e-6
+        both[i, 3 + i] = 1.0
+    _invert(both)
+    x, y = 0.0, 0.0
+    for k in range(3):
+        x, y = x + 2.0 * both[1, 3 + k] * right[k], y + 2.0 * both[2, 3 + k] * right[k]
+    limb[2] += 0.8 * (limb[0] * x + limb[1] * y) / max(hypot(x, y), 1e-9)
+    limb[0], limb[1] = x, y
+
+
+@_part
 def _sum_up(
-    sums: Array, seen: Any, inside: Any, said: Array, shape: Array, blur_design: Array, sensor: Sensor, rules: Rules
+    sums: Array, seen: Any, inside: Any, said: Array, blur: Array, blur_design: Array, sensor: Sensor, rules: Rules
 ) -> None:
     """Clipped share, median of chi2, and the widest blur."""
     clipped, pixels, widest = 0, 0, 0.0
     for s in range(len(inside)):
         pixels += inside[s]
-        widest = max(widest, _sigma(shape, blur_design, s, rules))
+        widest = max(widest, _sigma(blur, blur_design, s, rules))
         for k in range(inside[s]):
             clipped += seen[2, s, k] >= sensor.saturated_dn
     chi2 = said[4].copy()
@@ -228,42 +456,83 @@ def _sum_up(
 
 @_part
 def _iterate(
-    seen: Any, inside: Any, design: Array, blur_design: Array, profile: Array, rules: Rules, sensor: Sensor,
-    circle: Array, cov: Array, said: Array,
+    seen: Any, inside: Any, middle: Array, design: Array, blur_design: Array, bulge: Array, curved: bool, profile: Array,
+    dawn: Any, rules: Rules, sensor: Sensor, circle: Array, blurs: int, limbs: int, cov: Array, said: Array,
 ) -> bool:  # fmt: skip
-    shape, size = circle[:-4].copy(), len(circle) - 4
-    levels, reduced = np.zeros((len(inside), 2)), np.empty((len(inside), 6))
+    sectors, shape = len(inside), circle[:-4].copy()
+    size, columns = len(shape) + 2, 9 if limbs else 7
+    limb = shape[3 + blurs :]
+    lamp = limbs > 0 and (limb[0] != 0.0 or limb[1] != 0.0 or limb[2] != 0.0)
+    clipped = _is_clipped(seen, inside, sensor)
+    levels, normal = np.zeros((sectors, 2)), np.empty((sectors, columns, columns))
+    reduced, coupling = np.zeros((sectors, columns - 2, columns - 2)), np.empty((sectors, 2, columns - 2))
     both, delta = np.empty((size, 2 * size)), np.empty(size)
-    settled, scale = False, 1.0
+    towards, column = np.empty((sectors, size)), np.empty(size, np.int64)
+    first, settled = True, False
     for n in range(int(rules.steps)):
-        for s in range(len(inside)):
-            normal = _normal_matrix(
-                seen[:, s, : inside[s]], shape, _sigma(shape, blur_design, s, rules), levels[s], n == 0, profile, rules, sensor
-            )  # fmt: skip
-            _eliminate_levels(normal, levels[s], reduced[s], rules)
+        normal[:] = 0.0
+        for s in range(sectors):
+            pixels, sigma = seen[:, s, : inside[s]], _sigma(shape[3 : 3 + blurs], blur_design, s, rules)
+            if limbs:
+                swing = limb[0] * middle[s, 0] + limb[1] * middle[s, 1]
+                along, upon = (swing, limb[2]) if lamp else (0.0, limb[2] + swing)
+                _add_shaded_pixels(
+                    normal[s], pixels, shape, sigma, middle[s, 0], middle[s, 1], bulge[s], curved, along, upon, levels[s],
+                    first, profile, dawn, rules, sensor,
+                )  # fmt: skip
+            else:
+                _add_pixels(
+                    normal[s], pixels, shape, sigma, middle[s, 0], middle[s, 1], bulge[s], curved, levels[s], first, profile,
+                    rules, sensor,
+                )  # fmt: skip
+        first = False
+        if n > 0:
+            length = sqrt(limb[0] ** 2 + limb[1] ** 2 + limb[2] ** 2) if lamp else 0.0
+            _tie(normal, levels, rules.ambient_spread_dn + rules.ambient_spread * length if lamp else -1.0, rules)
+        for s in range(sectors):
+            _eliminate_levels(normal[s], levels[s], reduced[s], coupling[s], sensor, rules)
             _say(said[:, s], levels[s], reduced[s], inside[s])
-        scale = _weigh(said, size > 4, rules)
-        if scale == 0.0:
+        if not _weigh(said, blurs > 1 or limbs > 0, rules):
             return False
-        _solve(said, reduced, design, blur_design, shape, rules, both, delta)
-        _move(shape, delta, rules)
+        _solve(said, reduced, design, blur_design, middle, shape, blurs, limbs, lamp, rules, both, delta, towards, column)
+        if clipped:
+            _follow(levels, coupling, towards, column, delta)
+        _move(shape, delta, blurs, rules)
         far_px = abs(shape[0] - circle[0]) + abs(shape[1] - circle[1]) + abs(shape[2] - circle[2])
         if not far_px <= rules.farthest_px:  # a NaN is no place either
             return False
-        settled = _has_settled(shape, delta, rules)
+        settled = _has_settled(shape, delta, blurs, rules.settled_px * (rules.lamp_settled if lamp else 1.0), rules)
+        if limbs and not lamp:
+            if settled or n >= rules.harmonic_steps:
+                _lamp_of(limb, levels, said[5], middle)
+                lamp, first, settled = True, True, False
+            continue
         if settled:
             break
-    for i, k in np.ndindex(3, 3):
-        cov[i, k] = both[i, size + k] * scale**2
     for i in range(size):
+        for k in range(size):
+            cov[i, k] = both[i, size + k]
+    for i in range(len(shape)):
         circle[i] = shape[i]
-    _sum_up(circle[size:], seen, inside, said, shape, blur_design, sensor, rules)
+    _sum_up(circle[len(shape) :], seen, inside, said, shape[3 : 3 + blurs], blur_design, sensor, rules)
     circle[-1] = 1.0 if settled else 0.0
     return True
 
 
 @_part
-def _gather(image: Image, column: Any, row: Any, count: Any, x0: int, y0: int) -> Any:
+def _is_clipped(seen: Any, inside: Any, sensor: Sensor) -> bool:
+    for s in range(len(inside)):
+        for k in range(inside[s]):
+            if seen[2, s, k] >= sensor.saturated_dn:
+                return True
+    return False
+
+
+@_part
+def _gather(
+    image: Image, column: Any, row: Any, count: Any, x0: int, y0: int, circle: Array, middle: Array, bulge: Array, curved: bool,
+    span: Any,
+) -> Any:  # fmt: skip
     """Place and grey value of the pixels inside the image, (3, S, n), and how many there are in each sector."""
     height, width = image.shape
     seen = np.empty((3, *column.shape), np.float32)
@@ -272,6 +541,10 @@ def _gather(image: Image, column: Any, row: Any, count: Any, x0: int, y0: int) -
         for j in range(count[s]):
             dx, dy = column[s, j], row[s, j]
             x, y = x0 + dx, y0 + dy
+            if curved:
+                d = _distance(dx - circle[0], dy - circle[1], circle[2], middle[s, 0], middle[s, 1], bulge[s], True)
+                if not -span[0] <= d <= span[1]:
+                    continue
             if 0 <= x < width and 0 <= y < height:
                 k = inside[s]
                 seen[0, s, k], seen[1, s, k], seen[2, s, k] = dx, dy, image[y, x]
@@ -281,20 +554,23 @@ def _gather(image: Image, column: Any, row: Any, count: Any, x0: int, y0: int) -
 
 @_kept
 def fit(
-    image: Image, column: Any, row: Any, count: Any, design: Array, blur_design: Array, profile: Array, rules: Rules,
-    sensor: Sensor, circle: Array, cov: Array, said: Array,
+    image: Image, column: Any, row: Any, count: Any, middle: Array, design: Array, blur_design: Array, bulge: Array, curved: bool,
+    span: Any, profile: Array, dawn: Any, rules: Rules, sensor: Sensor, circle: Array, blurs: int, limbs: int, cov: Array,
+    said: Array,
 ) -> bool:  # fmt: skip
     """False: no circle is determined near by, and what is out means nothing.
 
-    In and out: circle: x, y, r, blur (1 or 3); and out in its next 4: clipped share, median chi2, widest blur, settled.
-    Out: cov (3, 3); said (6, S): contrast, level, offset, information, chi2, weight of the sectors.
-    In: pixels and designs as in Ring.
+    In and out: circle: x, y, r, blur (1 or 3), limb (0 or 3); and out in its next 4: clipped share, median chi2, widest blur,
+    settled. Out: cov of those, and of two levels; said (6, S): contrast, level, offset, information, chi2, weight of the
+    sectors. In: pixels and designs as in Ring and Curve; span: how far inside and outside a curve its pixels may be.
     """
     x0, y0 = round(circle[0]), round(circle[1])
-    seen, inside = _gather(image, column, row, count, x0, y0)
     circle[0] -= x0
     circle[1] -= y0
-    found = _iterate(seen, inside, design, blur_design, profile, rules, sensor, circle, cov, said)
+    seen, inside = _gather(image, column, row, count, x0, y0, circle, middle, bulge, curved, span)
+    found = _iterate(
+        seen, inside, middle, design, blur_design, bulge, curved, profile, dawn, rules, sensor, circle, blurs, limbs, cov, said
+    )  # fmt: skip
     circle[0] += x0
     circle[1] += y0
     return found

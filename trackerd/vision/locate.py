@@ -5,7 +5,10 @@ from math import hypot, isfinite
 import numpy as np
 
 from trackerd.contract.model import Found, Image, Missed, Outline
+from trackerd.vision.convergence import CircleFit
+from trackerd.vision.curve import View
 from trackerd.vision.fit import fit_circle
+from trackerd.vision.limb import LimbChoice, evidence
 from trackerd.vision.noise import NoiseModel
 from trackerd.vision.rays import REACH_PX, Circle, first_circle
 from trackerd.vision.search import candidates
@@ -17,24 +20,33 @@ SMALLEST_IMAGE_PX = 16
 NEAR_RADII = 3.0  # a target chosen by pixel is the nearest outline within this many of its radii
 
 
-def locate(image: Image, guess: Circle | None, noise: NoiseModel = NoiseModel(), reach_px: float = REACH_PX) -> Outline:  # noqa: B008
+def locate(
+    image: Image,
+    guess: Circle | None,
+    noise: NoiseModel = NoiseModel(),  # noqa: B008
+    reach_px: float = REACH_PX,
+    view: View | None = None,
+    limb: LimbChoice | None = None,
+) -> Outline:
     """Outline of the ball; coordinates are the image's own, an integer is a pixel's centre.
 
     With a guess (x, y, r) the outline is looked for within r (1 ± 0.2) ± `reach_px` of the guessed centre; without, everywhere.
+    With a view it is the outline of a sphere behind that lens, else a circle. `limb` keeps the choice of the limb term from
+    frame to frame; without, this image decides.
     Raises TypeError for pixels that are not uint8 or uint16, ValueError for an image that is not (height, width).
     """
     check_image(image)
     if guess is None:
-        return search(image, noise)
+        return search(image, noise, view=view)
     refusal = _refusal(image, guess)
-    return Missed(refusal) if refusal else _outline(image, guess, noise, LEAST_COVERAGE, reach_px)
+    return Missed(refusal) if refusal else _outline(image, guess, noise, LEAST_COVERAGE, reach_px, view, limb)
 
 
-def refine(image: Image, guess: Circle, noise: NoiseModel) -> Outline:
+def refine(image: Image, guess: Circle, noise: NoiseModel, view: View | None = None, limb: LimbChoice | None = None) -> Outline:
     """As `locate`, for a guess that is a prediction good to about 1.5 px: the fit alone, without looking around first."""
     check_image(image)
     refusal = _refusal(image, guess)
-    return Missed(refusal) if refusal else _fitted(image, guess, noise, LEAST_COVERAGE)
+    return Missed(refusal) if refusal else _fitted(image, guess, noise, LEAST_COVERAGE, view, limb)
 
 
 def search(
@@ -42,6 +54,7 @@ def search(
     noise: NoiseModel,
     radius_px: tuple[float, float] = SEARCHED_PX,
     near_px: tuple[float, float] | None = None,
+    view: View | None = None,
 ) -> Outline:
     """The outline with the best coverage of those found anywhere, or the one nearest to a pixel, within three of its radii."""
     check_image(image)
@@ -51,7 +64,7 @@ def search(
     for seed in candidates(image, radius_px):
         if _refusal(image, seed) or any(_same(seed, other) for other in found):
             continue
-        outline = _outline(image, seed, noise, LEAST_COVERAGE_SEARCHED, REACH_PX)
+        outline = _outline(image, seed, noise, LEAST_COVERAGE_SEARCHED, REACH_PX, view)
         if isinstance(outline, Missed) or not radius_px[0] <= outline.r_px <= radius_px[1]:
             continue
         if near_px is None:
@@ -72,18 +85,39 @@ def check_image(image: Image) -> None:
         raise ValueError(f"an image of shape (height, width) is expected, not {image.shape}")
 
 
-def _outline(image: Image, guess: Circle, noise: NoiseModel, least_coverage: float, reach_px: float) -> Outline:
+def _outline(
+    image: Image,
+    guess: Circle,
+    noise: NoiseModel,
+    least_coverage: float,
+    reach_px: float,
+    view: View | None = None,
+    limb: LimbChoice | None = None,
+) -> Outline:
     first = first_circle(image, guess, noise, reach_px)
     if first is None:
         return Missed("no circle of edges near the guess")
-    return _fitted(image, first, noise, least_coverage)
+    return _fitted(image, first, noise, least_coverage, view, limb)
 
 
-def _fitted(image: Image, start: Circle, noise: NoiseModel, least_coverage: float) -> Outline:
-    fit = fit_circle(image, start, noise)
-    if fit is None:
-        return Missed("the edges near the guess are no outline")
-    return verified(fit, noise, least_coverage)
+def _fitted(
+    image: Image, start: Circle, noise: NoiseModel, least_coverage: float, view: View | None, limb: LimbChoice | None
+) -> Outline:
+    choice = LimbChoice() if limb is None else limb
+    if not choice.open:
+        choice.count()
+        return _verified(fit_circle(image, start, noise, view, choice.used), noise, least_coverage)
+    flat = fit_circle(image, start, noise, view)
+    limbed = fit_circle(image, start if flat is None else (flat.x_px, flat.y_px, flat.r_px), noise, view, limb=True)
+    plain, shaded = (_verified(fit, noise, least_coverage) for fit in (flat, limbed))
+    if isinstance(plain, Missed) and isinstance(shaded, Missed):
+        return plain
+    choice.learn(evidence(limbed))
+    return shaded if choice.used else plain
+
+
+def _verified(fit: CircleFit | None, noise: NoiseModel, least_coverage: float) -> Outline:
+    return Missed("the edges near the guess are no outline") if fit is None else verified(fit, noise, least_coverage)
 
 
 def _refusal(image: Image, guess: Circle) -> str:

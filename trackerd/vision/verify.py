@@ -1,11 +1,12 @@
 """Whether a fit is an outline: enough of it carries an edge that is strong, well placed and on the circle."""
 
-from math import inf
+from math import inf, sqrt
 
 import numpy as np
 
-from trackerd.contract.model import Found, Missed, Outline
+from trackerd.contract.model import Array, Found, Missed, Outline
 from trackerd.vision.convergence import CircleFit, Sectors
+from trackerd.vision.curve import angles
 from trackerd.vision.noise import NoiseModel
 
 LEAST_COVERAGE = 0.50  # of the outline, where a guess led here
@@ -14,6 +15,11 @@ LEAST_CONTRAST = 2.0  # in units of one pixel's noise: 3 grey levels at 39 e- a 
 WORST_EDGE_PX = 0.5  # sigma of a sector's edge
 NEAR_PX, NEAR_SIGMA = 0.35, 4.0  # an edge this near to the circle is on it
 POOR_CHI2 = 12.0  # a sector that looks like no edge at all
+
+
+SIGNIFICANT = 2.0  # sigmas by which the sectors' scatter must exceed the noise before the covariance grows
+STRUCTURED_CHI2 = 1.06  # half of the sectors worse than this: something else than noise is in the picture
+NEIGHBOURS = 3  # sectors over which it may go on
 
 
 def verified(fit: CircleFit, noise: NoiseModel, least_coverage: float) -> Outline:
@@ -27,19 +33,53 @@ def verified(fit: CircleFit, noise: NoiseModel, least_coverage: float) -> Outlin
         return Missed("the outline does not determine a circle")
     weight = float(fit.weight.sum())
     chi2 = float(fit.sectors.chi2 @ fit.weight) / weight if weight > 0.0 else 0.0
+    growth, why = scatter(fit)
     contrast, middle = float(np.median(fit.sectors.contrast_dn[good])), float(np.median(fit.sectors.level_dn[good]))
     return Found(
         fit.x_px,
         fit.y_px,
         fit.r_px,
-        fit.cov_px2,
+        fit.cov_px2 * growth,
         coverage,
         chi2,
         fit.clipped,
         blur_px=fit.sigma_px,
         inside_dn=middle + 0.5 * contrast,
         outside_dn=middle - 0.5 * contrast,
+        inflated=why,
     )
+
+
+def scatter(fit: CircleFit) -> tuple[float, str]:
+    """By how much the covariance of the noise is to be multiplied so that it explains the sectors' own scatter round the
+    outline, and why; 1 where the scatter is that of noise.
+
+    What is not noise (a texture behind the ball, a cluttered outline) goes on from sector to sector: there their covariances
+    count too (Newey and West 1987).
+    """
+    u = np.sqrt(fit.sectors.information) * fit.weight * (fit.sectors.offset_px - _even(fit))
+    expected = float(fit.weight @ fit.weight) * max(1.0 - 4.0 / max(float(fit.weight.sum()), 5.0), 0.2)
+    ratio = float(u @ u) / expected
+    structured = fit.chi2 > STRUCTURED_CHI2
+    if structured:
+        ratio += (
+            2.0 * sum((1.0 - n / (NEIGHBOURS + 1.0)) * float(u @ np.roll(u, n)) for n in range(1, NEIGHBOURS + 1)) / expected
+        )
+    sigma = sqrt((2.0 + 4.0 * structured) / len(u))
+    if ratio < 1.0 + SIGNIFICANT * sigma:
+        return 1.0, ""
+    return ratio, "structure round the outline" if structured else "the sectors scatter"
+
+
+def _even(fit: CircleFit) -> Array:
+    """What a smear, which is no Gaussian blur, does to the sectors' edges, (S,): alike on opposite sides, it moves no centre."""
+    if len(fit.blur_px2) == 1:
+        return np.zeros(len(fit.weight))
+    middle = angles(len(fit.weight))
+    design = np.column_stack([np.ones(len(middle)), *(f(n * middle) for n in (2, 4, 6) for f in (np.cos, np.sin))])
+    weighted = design * (fit.weight * fit.sectors.information)[:, None]
+    amplitude = np.linalg.solve(weighted.T @ design + 1e-9 * np.eye(design.shape[1]), weighted.T @ fit.sectors.offset_px)
+    return np.asarray(design @ amplitude)
 
 
 def edge_sectors(sectors: Sectors, noise: NoiseModel) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
