@@ -130,6 +130,20 @@ def test_nothing_is_raised_and_nothing_is_found_in_images_without_a_circle(batch
         assert outline.reason
 
 
+@pytest.mark.parametrize("side_px", [16, 24, 40])
+@pytest.mark.parametrize("contrast_dn", [6.0, 8.0, 12.0, 20.0])
+def test_a_square_is_no_ball_however_weak_it_is(side_px: int, contrast_dn: float) -> None:
+    light = np.full((120, 120), 60.0)
+    begin, end = 60 - side_px // 2, 60 + side_px // 2
+    light[begin:end, begin:end] += contrast_dn
+    light = cv2.GaussianBlur(light, (0, 0), 0.8)
+    for seed in range(40):
+        random = np.random.default_rng(seed)
+        image = np.rint(light + random.normal(0.0, NOISE.sigma_dn(60.0), light.shape)).astype(np.uint8)
+        x, y = random.uniform(56.0, 64.0, 2).tolist()
+        assert isinstance(locate(image, (x, y, 0.55 * side_px), NOISE), Missed)
+
+
 # ---- bad input, by name ----------------------------------------------------------------------------------------------
 
 BALL = Ball()
