@@ -6,7 +6,7 @@ rho = sin(theta) / sin(alpha) is below 1, at an angle of incidence whose sine is
 
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from math import pi
+from math import hypot, pi
 
 import numpy as np
 import numpy.typing as npt
@@ -75,6 +75,15 @@ def box_of(p_camera_mm: Array, radius_mm: float, lens: Lens, origin_px: tuple[in
     ball = outline(p_camera_mm, radius_mm, lens)
     reach = ball.a_px * (1.0 + (BEND_SHARE if any(lens.distortion) else 0.0)) + BEND_PX
     return window_about(ball.x_px - origin_px[0], ball.y_px - origin_px[1], reach, reach)
+
+
+def inside_of(window: Window, p_camera_mm: Array, radius_mm: float, lens: Lens, origin_px: tuple[int, int]) -> bool:
+    """Whether all of a window is ball, and its outline some pixels away."""
+    ball = outline(p_camera_mm, radius_mm, lens)
+    x_px, y_px = ball.x_px - origin_px[0], ball.y_px - origin_px[1]
+    far_x = max(abs(window.left - 0.5 - x_px), abs(window.left + window.width - 0.5 - x_px))
+    far_y = max(abs(window.top - 0.5 - y_px), abs(window.top + window.height - 0.5 - y_px))
+    return hypot(far_x, far_y) < ball.b_px * (1.0 - (BEND_SHARE if any(lens.distortion) else 0.0)) - BEND_PX
 
 
 def ball_light(

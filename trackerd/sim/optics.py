@@ -7,6 +7,7 @@ subpixel of side h (and so is that of the blur circle's); it is taken off the Ga
 from functools import lru_cache
 from math import ceil, erf, sqrt
 
+import cv2
 import numpy as np
 
 from trackerd.contract.model import Array
@@ -33,15 +34,28 @@ def gather(light: Array, fine: int, margin: int, psf_px: float, means: int = 1) 
 
 def defocus(light: Array, fine: int, radius_px: float) -> Array:
     """A blur circle, evenly filled: what a point out of focus becomes. Of the outermost `radius_px`, nothing is said."""
-    disc = _blur_circle(light.shape, fine, radius_px)
-    return np.asarray(np.fft.irfft2(np.fft.rfft2(light) * disc, s=light.shape))
+    size = _fast_size(light)
+    spectrum = np.fft.rfft2(light, size) * _blur_circle(size, fine, radius_px)
+    return np.asarray(np.fft.irfft2(spectrum, size)[: light.shape[0], : light.shape[1]])
 
 
 def smear(light: Array, fine: int, motion_px: tuple[float, float]) -> Array:
     """The mean over an even motion, centred. Of the outermost half motion, nothing is said."""
-    fy = np.fft.fftfreq(light.shape[0])[:, None] * (motion_px[1] * fine)
-    fx = np.fft.rfftfreq(light.shape[1])[None, :] * (motion_px[0] * fine)
-    return np.asarray(np.fft.irfft2(np.fft.rfft2(light) * np.sinc(fx + fy), s=light.shape))
+    size = _fast_size(light)
+    spectrum = np.fft.rfft2(light, size) * _smear(size, fine, motion_px)
+    return np.asarray(np.fft.irfft2(spectrum, size)[: light.shape[0], : light.shape[1]])
+
+
+def _fast_size(light: Array) -> tuple[int, int]:
+    """At least that of the light: with small prime factors."""
+    return cv2.getOptimalDFTSize(light.shape[0]), cv2.getOptimalDFTSize(light.shape[1])
+
+
+@lru_cache(maxsize=8)
+def _smear(size: tuple[int, int], fine: int, motion_px: tuple[float, float]) -> Array:
+    fy = np.fft.fftfreq(size[0])[:, None] * (motion_px[1] * fine)
+    fx = np.fft.rfftfreq(size[1])[None, :] * (motion_px[0] * fine)
+    return np.asarray(np.sinc(fx + fy))
 
 
 def _gather_rows(light: Array, fine: int, margin: int, kernel: Array) -> Array:
@@ -75,10 +89,10 @@ def _pixel_kernel(fine: int, margin: int, sigma_px: float) -> Array:
 
 
 @lru_cache(maxsize=8)
-def _blur_circle(shape: tuple[int, ...], fine: int, radius_px: float) -> Array:
+def _blur_circle(size: tuple[int, int], fine: int, radius_px: float) -> Array:
     """Its transform; it stands about subpixel (0, 0)."""
-    y = np.fft.fftfreq(shape[0], 1.0 / shape[0])[:, None]
-    x = np.fft.fftfreq(shape[1], 1.0 / shape[1])[None, :]
+    y = np.fft.fftfreq(size[0], 1.0 / size[0])[:, None]
+    x = np.fft.fftfreq(size[1], 1.0 / size[1])[None, :]
     distance = np.maximum(np.hypot(x, y), 1e-9)
     disc = half_plane_cover(radius_px * fine - distance, x / distance, y / distance)
     return np.asarray(np.fft.rfft2(disc / disc.sum()))

@@ -16,13 +16,13 @@ import numpy as np
 from trackerd.contract.model import Array
 from trackerd.geometry.lens import Lens
 from trackerd.geometry.sphere import centre_and_range, outline
-from trackerd.sim.ball import Surface, ball_light, box_of
+from trackerd.sim.ball import Surface, ball_light, box_of, inside_of
 from trackerd.sim.optics import defocus, gather, margin_px, smear
 from trackerd.sim.raster import Grid, Polygon, Shape, Window, bar, paint
 
-FINE = 4  # subpixels a side of a pixel
+FINE, FINE_WHEN_SMOOTH = 4, 2  # subpixels a side of a pixel; in the midst of the ball
 FINE_WHEN_SHARP, SHARP_PX = 8, 0.6  # a sharper edge needs more of them
-TILE_PX = 256  # a larger picture is made in parts, so that they stay in the caches
+TILE_PX = 96  # a larger picture is made in parts: in many of them nothing has an edge
 TEXTURE_MARGIN_PX = 64  # texture beyond the picture's border, from which light is blurred into it
 
 
@@ -152,14 +152,20 @@ def _render_tile(picture: Picture, tile: Window, stem: Polygon | None) -> Array:
 
 
 def _fine(picture: Picture, around: Window, stem: Polygon | None) -> int:
-    """Subpixels a side; one is enough where nothing has an edge."""
-    boxes = [shape.box() for shape in (*picture.behind, *picture.front)]
-    boxes += [stem.box()] if stem is not None else []
-    boxes += [ball_box(picture)] if picture.probe_mm is not None else []
-    reach = int(max(abs(picture.motion_px[0]), abs(picture.motion_px[1])))
-    if all(box.grown(reach).clipped(around).empty for box in boxes) and picture.psf_px >= SHARP_PX:
-        return 1
-    return FINE if picture.psf_px >= SHARP_PX else FINE_WHEN_SHARP
+    """Subpixels a side; few are enough where nothing has an edge."""
+    if picture.psf_px < SHARP_PX:
+        return FINE_WHEN_SHARP
+    inside = picture.probe_mm is not None and _inside_ball(picture, around)
+    boxes = [shape.box() for shape in (picture.front if inside else (*picture.behind, *picture.front))]
+    if picture.probe_mm is not None and not inside:
+        boxes += [ball_box(picture), *([stem.box()] if stem is not None else [])]
+    if all(box.clipped(around).empty for box in boxes):
+        return FINE_WHEN_SMOOTH if inside else 1
+    return FINE
+
+
+def _inside_ball(picture: Picture, window: Window) -> bool:
+    return inside_of(window, _probe(picture), picture.radius_mm, picture.lens, picture.origin_px)
 
 
 def _background(picture: Picture, grid: Grid) -> Array:
