@@ -89,7 +89,7 @@ def _curve(lens: Lens, place: Array, sectors: int) -> tuple[Curve, float]:
     middle = angles(sectors)
     normal_x = (np.cos(middle) * radius[0] + np.sin(middle) * first) / length
     normal_y = (np.sin(middle) * radius[0] - np.cos(middle) * first) / length
-    design = slant[:, None] * change
+    design = np.ascontiguousarray(slant[:, None] * change)  # as the compiled kernel takes it
     design[:, 0] += normal_x
     design[:, 1] += normal_y
     change[:, 2] -= 1.0
