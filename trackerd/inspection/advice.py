@@ -3,11 +3,16 @@
 from dataclasses import dataclass
 from math import floor
 
-from trackerd.contract.model import Found
+import numpy as np
+
+from trackerd.contract.model import Found, Image
+from trackerd.vision.noise import NoiseModel
 
 CLIPPED = 0.005  # of the outline's pixels; fewer are a highlight's
 FULL = 0.98  # of the full scale: a level there is clipped, and could be anything above
 AIM = 0.70  # of the full scale, for the brighter side of the outline: head room for highlights and for a lamp that flickers
+BRIGHT_PERCENT = 95.0  # of the pixels near the ball are darker than what is called bright: highlights are smaller
+NEAR_RADII, SAMPLES = 1.2, 20  # what is near the ball; sampled so often a radius
 DARK = 0.35  # of the full scale: there is room for twice the light
 WEAK_DN_SIGMA = 12.0  # contrast in units of a pixel's noise, below which light or background should be improved
 THIN = 0.75  # of the outline carry an edge
@@ -19,26 +24,41 @@ SMEAR_PX = 0.3  # rms width of the movement within the exposure from which the e
 
 @dataclass(frozen=True, slots=True)
 class Level:
-    """The grey scale of a camera's images."""
+    """The grey values round one outline."""
 
-    full_dn: float
-    sigma_dn: float  # of one pixel at mid-edge
+    full_dn: float  # the end of the scale
+    bright_dn: float  # of the brighter parts of ball and background; the rim of a shaded ball is darker
+    sigma_dn: float  # noise of one pixel at mid-edge
+
+
+def level_at(image: Image, found: Found, noise: NoiseModel) -> Level:
+    """Of the square round the ball."""
+    height, width = image.shape
+    half, step = NEAR_RADII * found.r_px, max(round(found.r_px / SAMPLES), 1)
+    rows, columns = (
+        slice(min(max(int(middle - half), 0), size - 1), max(int(middle + half), 1), step)
+        for middle, size in ((found.y_px, height), (found.x_px, width))
+    )
+    bright_dn = float(np.percentile(image[rows, columns], BRIGHT_PERCENT))
+    middle_dn = 0.5 * (found.inside_dn + found.outside_dn)
+    return Level(noise.saturation_of(int(np.iinfo(image.dtype).max)), bright_dn, noise.sigma_dn(middle_dn))
 
 
 def exposure_advice(found: Found, level: Level) -> str:
-    """ "good", or what is wrong with the exposure and how far to turn it."""
-    bright = max(found.inside_dn, found.outside_dn)
-    if found.clipped > CLIPPED or bright >= FULL * level.full_dn:
-        clipped = _percent(found.clipped)
-        return f"too bright: {clipped} of the outline is clipped: lower exposure or gain by about {_less(bright, level)} %"
-    if bright < DARK * level.full_dn:
-        factor = floor(10.0 * AIM * level.full_dn / max(bright, 1.0)) / 10.0
-        return f"dark: {bright:.0f} of {level.full_dn:.0f}: exposure x {min(factor, 99.0):.2g} possible"
+    """Good, or what is wrong with the exposure and how far to turn it."""
+    bright_dn = max(level.bright_dn, found.inside_dn, found.outside_dn)  # the fit tells levels beyond the scale, too
+    clipped = found.clipped > CLIPPED
+    if clipped or bright_dn >= FULL * level.full_dn:
+        what = f"{_percent(found.clipped)} of the outline is clipped" if clipped else "the ball or what is round it is clipped"
+        return f"too bright: {what}: lower exposure or gain by about {_less(bright_dn, level)} %"
+    if bright_dn < DARK * level.full_dn:
+        factor = floor(10.0 * AIM * level.full_dn / max(bright_dn, 1.0)) / 10.0
+        return f"dark: {bright_dn:.0f} of {level.full_dn:.0f}: exposure x {min(factor, 99.0):.2g} possible"
     return "good"
 
 
 def light_advice(found: Found, level: Level) -> str:
-    """ "good", or what makes the outline weak."""
+    """Good, or what makes the outline weak."""
     contrast = abs(found.inside_dn - found.outside_dn)
     if contrast < WEAK_DN_SIGMA * level.sigma_dn:
         ratio = contrast / level.sigma_dn
@@ -72,11 +92,11 @@ def focus_bar(blur_px: float, best_px: float) -> str:
     return "█" * filled + "·" * (BAR - filled)
 
 
-def _less(bright: float, level: Level) -> int:
+def _less(bright_dn: float, level: Level) -> int:
     """Per cent. A level at the end of the scale is not known: halve it, and look again."""
-    if bright >= FULL * level.full_dn:
+    if FULL * level.full_dn <= bright_dn <= level.full_dn:
         return 50
-    return max(10, round(100.0 * (1.0 - AIM * level.full_dn / bright)))
+    return min(max(10, round(100.0 * (1.0 - AIM * level.full_dn / bright_dn))), 90)
 
 
 def _percent(share: float) -> str:
