@@ -106,14 +106,14 @@ def test_a_ball_that_left_the_gate_is_found_again_in_the_same_frame(tracker: str
     looking = acquisition(tracker=tracker)
     looking.learn(BALL.noisy(0), outline(search(BALL.noisy(0), NOISE)))
     there = moved(BALL, 70.0, -40.0)
-    found = outline(looking.near(there.noisy(1), 1, Expected(circle(BALL), 0)))
+    found = outline(looking.near(there.noisy(1), Expected(circle(BALL), 0)))
     assert (found.x_px, found.y_px) == pytest.approx((there.x_px, there.y_px), abs=0.05)
 
 
 def test_a_ball_of_another_size_is_not_the_target() -> None:
     looking = acquisition()
     other = Ball(r_px=72.0)
-    missed = looking.near(other.noisy(0), 0, Expected((other.x_px, other.y_px, 60.0), 0))
+    missed = looking.near(other.noisy(0), Expected((other.x_px, other.y_px, 60.0), 0))
     assert isinstance(missed, Missed)
     assert "not the target's" in missed.reason
 
@@ -121,7 +121,7 @@ def test_a_ball_of_another_size_is_not_the_target() -> None:
 def test_an_outline_outside_the_admitted_radius_is_refused() -> None:
     looking = acquisition(radius_px=(70.0, 100.0))
     assert isinstance(looking.anywhere(BALL.noisy(0), 0, None), Missed)
-    missed = looking.near(BALL.noisy(0), 0, Expected(circle(BALL), 0))
+    missed = looking.near(BALL.noisy(0), Expected(circle(BALL), 0))
     assert isinstance(missed, Missed)
     assert "not admitted" in missed.reason
 

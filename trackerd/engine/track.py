@@ -1,7 +1,9 @@
 """One station's tracker as a state machine: frame and latched angles in, outline, line of sight and set-point out.
 
 searching -> locked after two consistent, verified outlines in a row; locked -> coasting when missed, with the prediction going
-on and the gate growing; coasting -> searching when it has missed more than `coast_frames` frames.
+on and the gate growing; coasting -> searching when it has missed more than `coast_frames` frames. A target that was locked and
+lost is known again by its look: one outline is enough then, and another ball that was seen beside it is not taken for it
+(`trackerd.vision.acquire` says what is guaranteed).
 """
 
 from dataclasses import dataclass, replace
@@ -26,7 +28,15 @@ LONGEST_DELAY_NS = 200_000_000  # a frame that arrived later than this after its
 BLIND_FRAMES = 3  # the axes are led on without sight: farther out on a tangent, a probe that comes round is not met
 
 Pixel = tuple[float, float]
-Selected = Literal["pixel", "itself"]
+Selected = Literal["pixel", "guess", "itself"]
+
+
+@dataclass(frozen=True, slots=True)
+class Wanted:
+    """A target that somebody chose, in sensor pixels: the nearest ball, or (with a radius) the one at a guess."""
+
+    pixel: Pixel
+    radius_px: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,12 +82,13 @@ class Tracker:
         self._coast_frames = tracking.coast_frames
         self._led_blindly = min(tracking.coast_frames, BLIND_FRAMES)
         self._lead_ns = round(0.5e9 / camera.frame_rate_hz)  # a set-point is in use until the next: it fits best half-way
-        self._acquisition = Acquisition(NoiseModel(camera.gain_e_per_dn, camera.read_noise_e), tracking)
+        noise = NoiseModel(camera.gain_e_per_dn, camera.read_noise_e)
+        self._acquisition = Acquisition(noise, tracking, station.lens)
         self._motion = Motion()
         self._drift = Drift()
-        self._selection: tuple[Pixel | None] = (tracking.target_px,)  # taken over by the next step
-        self._taken: tuple[Pixel | None] | None = None
-        self._wanted_px: Pixel | None = None
+        self._selection: tuple[Wanted | None] = (None,)  # taken over by the next step
+        self._taken: tuple[Wanted | None] | None = None
+        self._wanted: Wanted | None = None
         self._selected: Selected = "itself"
         self._state = TrackState.SEARCHING
         self._seen = self._missed = 0  # consistent outlines so far; frames since the last one
@@ -85,15 +96,19 @@ class Tracker:
         self._blind = 0  # frames in a row without a direction to the target: not seen, or no angles
         self._jacobian: Array | None = None
         self._set_point: SetPoint | None = None
+        self._pose: tuple[AxisAngles | None, Pixel] | None = None  # of the frame before: angles, and the image's first pixel
+        self.select(tracking.target_px, tracking.target_radius_px)
 
-    def select(self, pixel: Pixel | None) -> None:
-        """Choose the ball nearest to a sensor pixel, or (None) whichever is found; takes effect in the next step."""
-        self._selection = (pixel,)
+    def select(self, pixel: Pixel | None, radius_px: float | None = None) -> None:
+        """Choose the ball nearest to a sensor pixel, with a radius the one at that guess, or (None) whichever is found; takes
+        effect in the next step."""
+        self._selection = (None if pixel is None else Wanted(pixel, radius_px),)
 
     def step(self, frame: Frame, angles: AxisAngles | NoAngle, instants: Instants) -> Step:
         self._take_selection()
         known = angles if isinstance(angles, AxisAngles) else None
         aim_px = self._aim(frame)
+        self._acquisition.next_frame(frame.origin_px, self._moved_px(frame, known))
         outline = self._look(frame, known, instants.exposed, aim_px)
         self._advance(outline)
         offset_px, view, trouble = None, None, angles.reason if isinstance(angles, NoAngle) else ""
@@ -125,29 +140,30 @@ class Tracker:
     def _forget(self) -> None:
         self._state = TrackState.SEARCHING
         self._seen = self._missed = self._blind = 0
-        self._last = self._jacobian = self._set_point = None
+        self._last = self._set_point = None
         self._motion.reset()
         self._drift.forget()
-        self._acquisition.forget()
 
     def _take_selection(self) -> None:
         selection = self._selection
         if selection is not self._taken:
             self._forget()
-            self._taken, self._wanted_px = selection, selection[0]
-            self._selected = "itself" if selection[0] is None else "pixel"
+            self._acquisition.forget()
+            self._taken, self._wanted = selection, selection[0]
+            self._selected = _selected(self._wanted)
 
     def _advance(self, outline: Outline) -> None:
         if isinstance(outline, Found):
             self._seen, self._missed = self._seen + 1, 0
-            if self._state is TrackState.COASTING or self._seen >= CONFIRMED:
-                self._state, self._wanted_px = TrackState.LOCKED, None
+            if self._seen >= CONFIRMED or self._acquisition.knows_target:
+                self._state, self._wanted = TrackState.LOCKED, None
             return
         self._missed += 1
         if self._state is TrackState.SEARCHING:
             self._forget()
         elif self._missed > self._coast_frames:
             self._forget()
+            self._acquisition.lose()
             self._selected = "itself"  # what is found next is whatever is found
         else:
             self._state = TrackState.COASTING
@@ -158,13 +174,33 @@ class Tracker:
         """Outline in sensor coordinates."""
         x0, y0 = frame.origin_px
         if self._last is None:
-            near = None if self._wanted_px is None else (self._wanted_px[0] - x0, self._wanted_px[1] - y0)
-            outline = self._acquisition.anywhere(frame.image, frame.frame_id, near)
+            outline = self._look_for_wanted(frame)
         else:
             x, y = self._expected_px(angles, exposed, aim_px, self._last)
-            expected = Expected((x - x0, y - y0, self._last.r_px), self._missed)
-            outline = self._acquisition.near(frame.image, frame.frame_id, expected)
+            last = self._last.x_px - x0, self._last.y_px - y0, self._last.r_px
+            expected = Expected((x - x0, y - y0, self._last.r_px), self._missed, last)
+            outline = self._acquisition.near(frame.image, expected)
         return _shifted(outline, frame.origin_px, 1) if isinstance(outline, Found) else outline
+
+    def _look_for_wanted(self, frame: Frame) -> Outline:
+        """Outline in image coordinates: at the guess, near the chosen pixel, or anywhere."""
+        wanted, (x0, y0) = self._wanted, frame.origin_px
+        if wanted is None:
+            return self._acquisition.anywhere(frame.image, frame.frame_id, None)
+        x, y = wanted.pixel[0] - x0, wanted.pixel[1] - y0
+        if wanted.radius_px is not None:
+            return self._acquisition.at(frame.image, (x, y, wanted.radius_px))
+        return self._acquisition.anywhere(frame.image, frame.frame_id, (x, y))
+
+    def _moved_px(self, frame: Frame, angles: AxisAngles | None) -> Pixel:
+        """How far things at rest have moved in the image since the frame before, as far as it is known."""
+        before, self._pose = self._pose, (angles, frame.origin_px)
+        if before is None:
+            return 0.0, 0.0
+        (last, origin_px), moved = before, np.zeros(2)
+        if last is not None and angles is not None and self._jacobian is not None:
+            moved = self._jacobian @ np.array((angles.az_rad - last.az_rad, angles.el_rad - last.el_rad))
+        return float(moved[0]) + origin_px[0] - frame.origin_px[0], float(moved[1]) + origin_px[1] - frame.origin_px[1]
 
     def _expected_px(self, angles: AxisAngles | None, exposed: HostNs, aim_px: Pixel, last: Found) -> Pixel:
         """Sensor pixel: the target's predicted angles against the axes' latched ones, else its drift in the image."""
@@ -212,6 +248,12 @@ class Tracker:
         steering = self._steering
         predict = self._motion.predict if steering.feed_forward else None
         return follow(view.looked, steering.gain, steering.deadband_px, at, predict, previous)
+
+
+def _selected(wanted: Wanted | None) -> Selected:
+    if wanted is None:
+        return "itself"
+    return "pixel" if wanted.radius_px is None else "guess"
 
 
 def _shifted(found: Found, origin_px: tuple[int, int], sign: int) -> Found:

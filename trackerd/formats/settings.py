@@ -119,6 +119,7 @@ class TrackingSettings(Settings):
 
     tracker: Literal["kcf", "mosse", "csrt", "none"] = "kcf"  # second hypothesis; precision comes from the fit
     target_px: Pixel | None = None  # sensor pixel of the initial target; default: found by itself
+    target_radius_px: Positive | None = None  # with it target_px is a guess: the target is looked for there first
     radius_px: tuple[float, float] = (12.0, 250.0)  # admitted radius of the outline
     coast_frames: Annotated[int, Field(ge=0, le=1000)] = 10
 
@@ -128,6 +129,18 @@ class TrackingSettings(Settings):
         if not 3.0 <= value[0] < value[1]:
             raise ValueError("needs 3 <= smallest < largest")
         return value
+
+    @model_validator(mode="after")
+    def _guess_has_a_place(self) -> Self:
+        if self.target_radius_px is None:
+            return self
+        if self.target_px is None:
+            raise KeyRuleError("target_radius_px", "needs target_px: the two are one guess of where the target is")
+        if not self.radius_px[0] <= self.target_radius_px <= self.radius_px[1]:
+            raise KeyRuleError(
+                "target_radius_px", f"must lie within radius_px = [{self.radius_px[0]:g}, {self.radius_px[1]:g}]"
+            )
+        return self
 
 
 class GimbalSettings(Settings):

@@ -1,20 +1,42 @@
-"""Where to look for the ball: predicted gate, then the OpenCV tracker's box, then everywhere; each through the same fit."""
+"""Where to look for the ball: predicted gate, then the OpenCV tracker's box, then everywhere; each through the same fit.
+
+An outline is the target's if it has its size and grey levels, and if it cannot be another ball's. A ball far from where the
+target is expected is the target after a jump only if it was not there already while the target was elsewhere: that is looked
+up in the last image in which the target was seen. Balls that are found to be others are followed for as long as the target is
+missed, and at times while it is seen (`Bystanders`).
+
+What cannot be known is refused, with the reason: an outline where the target and another ball are expected within half a
+radius; one of two outlines that are equally near; for 100 frames a ball that comes in over the image's edge while the target
+was hidden in the middle, and one that may be another's that was out of sight as well as the target. What is not guaranteed,
+because no image shows it: equal balls of which the target and another were hidden at one time, away from where each was last
+seen; and an equal ball that nobody had seen (it was behind something) and that appears while the target is hidden.
+"""
 
 from dataclasses import dataclass
 from math import hypot
 
 from trackerd.contract.model import Found, Image, Missed, Outline
 from trackerd.formats.settings import TrackingSettings
+from trackerd.geometry.lens import Lens
+from trackerd.vision.bystanders import Bystanders
+from trackerd.vision.curve import View
+from trackerd.vision.everywhere import everywhere
+from trackerd.vision.limb import LimbChoice
 from trackerd.vision.locate import locate, refine, search
+from trackerd.vision.look import Look, same_size
 from trackerd.vision.noise import NoiseModel
 from trackerd.vision.rays import REACH_PX, Circle
 from trackerd.vision.tracker import BoxTracker
 
-SAME_RADIUS = 0.15  # an outline whose radius differs by more is another thing
-JUMP_RADII = 3.0  # farther from where it was expected, and the more frames ago the farther, it is another thing
+SAME_RADIUS = 0.15  # an outline whose radius differs by more is another thing, while the target is followed,
+LOST_RADIUS = 0.6  # and after it was lost: it may come back at another range
 GROWTH_PX = 4.0  # of the gate, for each frame missed
 WIDEST_REACH = 0.5  # of the radius: the rays must start inside the outline
-SMALL_IMAGE_PX = 1_000_000  # a greater image is searched in every second frame: 7 ms and more for 3 Mpx
+SMALL_IMAGE_PX = 1_500_000  # a greater image is searched for an unknown ball in every second frame: 7 ms and more for 3 Mpx
+KEPT_FRAMES = 300  # after a loss: then light, range or target may have changed, and whatever is found is the target
+CLEARLY_NEARER = 0.5  # of the next one's distance
+EDGE_RADII, EDGE_RADII_HIDDEN = 1.0, 1.5  # a ball so near to the image's edge comes in over it
+INSIDE_RADII = 2.0  # the target left over the edge if it was expected nearer to it than this
 
 
 @dataclass(frozen=True, slots=True)
@@ -23,64 +45,173 @@ class Expected:
 
     circle: Circle
     missed: int
+    last: Circle | None = None  # where it was when it was last seen: a prediction after a leap may be far off
 
     @property
     def reach_px(self) -> float:
         return min(REACH_PX + GROWTH_PX * self.missed, max(REACH_PX, WIDEST_REACH * self.circle[2]))
 
-    def admits(self, found: Found) -> bool:
-        x, y, r = self.circle
-        far = hypot(found.x_px - x, found.y_px - y)
-        return abs(found.r_px / r - 1.0) <= SAME_RADIUS and far <= JUMP_RADII * r * (1 + self.missed)
+    def distance_px(self, found: Found) -> float:
+        return hypot(found.x_px - self.circle[0], found.y_px - self.circle[1])
 
 
 class Acquisition:
     """Looks for one ball in the images of one camera; coordinates are the image's own."""
 
-    def __init__(self, noise: NoiseModel, tracking: TrackingSettings) -> None:
+    def __init__(self, noise: NoiseModel, tracking: TrackingSettings, lens: Lens | None = None) -> None:
+        """With a lens the outlines are those of spheres behind it, else circles."""
         self._noise = noise
+        self._lens = lens
+        self._view = None if lens is None else View(lens)
         self._radius_px = tracking.radius_px
         self._box = BoxTracker(tracking.tracker)
+        self._bystanders = Bystanders(noise, tracking.radius_px)
+        self.forget()
+
+    @property
+    def knows_target(self) -> bool:
+        """Whether the look of a target is remembered, so that one outline is enough to know it again."""
+        return self._look is not None
+
+    def forget(self) -> None:
+        """Another target is wanted: nothing of this one is kept."""
+        self._look: Look | None = None
+        self._lost: Expected | None = None  # where it was expected when it was given up
+        self._lost_frames = 0
+        self._limb = LimbChoice()
+        self._bystanders.forget()
+        self._box.forget()
+
+    def lose(self) -> None:
+        """The target is given up; for `KEPT_FRAMES` only what looks like it, and is no other ball, is taken for it."""
+        self._box.forget()
+
+    def next_frame(self, origin_px: tuple[int, int], moved_px: tuple[float, float]) -> None:
+        """To be called once for each frame, first: where its image is on the sensor, and how far things at rest have moved in
+        the image since the last."""
+        if self._lens is not None and self._view is not None and self._view.origin_px != origin_px:
+            self._view = View(self._lens, origin_px)
+        self._bystanders.go_on(moved_px, self._view)
+        if self._lost is not None:
+            x, y, r = self._lost.circle
+            self._lost = Expected((x + moved_px[0], y + moved_px[1], r), self._lost.missed + 1)
+
+    def at(self, image: Image, circle: Circle) -> Outline:
+        """The outline at a guess (x, y, r): there, or else the nearest of about that radius."""
+        x, y, r = circle
+        there = locate(image, circle, self._noise, view=self._view)
+        if isinstance(there, Found) and self._admits(there):
+            return there
+        smallest, largest = max(r / (1.0 + LOST_RADIUS), self._radius_px[0]), min(r * (1.0 + LOST_RADIUS), self._radius_px[1])
+        return search(image, self._noise, (smallest, largest), (x, y), self._view)
 
     def anywhere(self, image: Image, frame_id: int, near_px: tuple[float, float] | None) -> Outline:
-        """The best outline, or the one nearest to a pixel."""
+        """After a loss the ball that was lost; else the best outline, or the one nearest to a pixel."""
+        if self._lost is not None and near_px is None:
+            self._lost_frames += 1
+            if self._lost_frames > KEPT_FRAMES:
+                self._look = None
+            if self._look is not None or self._bystanders.known:
+                return self._elsewhere(image, self._lost, LOST_RADIUS)
         if image.size > SMALL_IMAGE_PX and frame_id % 2:
             return Missed("a large image is searched in every second frame")
-        return search(image, self._noise, self._radius_px, near_px)
+        return search(image, self._noise, self._radius_px, near_px, self._view)
 
-    def near(self, image: Image, frame_id: int, expected: Expected) -> Outline:
+    def near(self, image: Image, expected: Expected) -> Outline:
         """The ball that is followed, by prediction, tracker or search, whichever is the first to have a plausible outline."""
+        self._lost, self._lost_frames = expected, 0
         if expected.missed == 0:  # the prediction of a ball that was seen a frame ago is good to a pixel or so
-            at_once = self._plausible(refine(image, expected.circle, self._noise), expected)
+            at_once = self._judged(refine(image, expected.circle, self._noise, self._view, self._limb), expected)
             if isinstance(at_once, Found):
                 return at_once
+            self._bystanders.keep_last_image()
         first = self._at(image, expected.circle, expected)
         if isinstance(first, Found):
             return first
+        if expected.missed == 0 and expected.last is not None:  # what has not moved much since a frame ago is it, for sure
+            expected = Expected(expected.last, 0)
+            there = self._at(image, expected.circle, expected)
+            if isinstance(there, Found):
+                return there
         box = self._box.update(image)
         if box is not None:
             again = self._at(image, (box[0], box[1], expected.circle[2]), expected)
             if isinstance(again, Found):
                 return again
-        anywhere = self.anywhere(image, frame_id, None)
-        return anywhere if isinstance(anywhere, Found) and expected.admits(anywhere) else first
+        found = self._elsewhere(image, expected, SAME_RADIUS)
+        return found if isinstance(found, Found) or self._bystanders.known else first
 
     def learn(self, image: Image, found: Found) -> None:
-        """A verified outline, for the tracker to remember."""
+        """A verified outline of the target, to be remembered. `image` must stay as it is until the next one was looked at."""
+        self._look = Look.of(found) if self._look is None else self._look.with_newer(found)
+        self._bystanders.watch(image, found)
         self._box.start(image, (found.x_px, found.y_px, found.r_px))
 
-    def forget(self) -> None:
-        self._box.forget()
-
     def _at(self, image: Image, circle: Circle, expected: Expected) -> Outline:
-        return self._plausible(locate(image, circle, self._noise, expected.reach_px), expected)
+        """The target's outline at a guess; what is found beyond the gate may be a bystander, and is left to the search."""
+        found = locate(image, circle, self._noise, expected.reach_px, self._view, self._limb)
+        outline = self._judged(found, expected)
+        if isinstance(outline, Found) and expected.distance_px(outline) > expected.circle[2] + expected.reach_px:
+            return Missed("what the tracker follows is not where the target was")
+        return outline
 
-    def _plausible(self, outline: Outline, expected: Expected) -> Outline:
+    def _judged(self, outline: Outline, expected: Expected) -> Outline:
+        """An outline near to where the target is expected."""
         if isinstance(outline, Missed):
             return outline
-        smallest, largest = self._radius_px
-        if not smallest <= outline.r_px <= largest:
+        if not self._admits(outline):
+            smallest, largest = self._radius_px
             return Missed(f"an outline of radius {outline.r_px:.1f} px is not admitted ({smallest:g} to {largest:g} px)")
-        if not expected.admits(outline):
-            return Missed(f"an outline of radius {outline.r_px:.1f} px is not the target's ({expected.circle[2]:.1f} px)")
-        return outline
+        r = expected.circle[2]
+        if not same_size(outline.r_px, r, SAME_RADIUS):
+            return Missed(f"an outline of radius {outline.r_px:.1f} px is not the target's ({r:.1f} px)")
+        if self._look is not None and not self._look.has_levels(outline):
+            return Missed(
+                f"an outline with a grey level of {outline.inside_dn:.0f} is not the target's ({self._look.inside_dn:.0f})"
+            )
+        return self._bystanders.judged(outline, expected.circle)
+
+    def _elsewhere(self, image: Image, expected: Expected, growth: float) -> Outline:
+        """Whatever looks like the target, anywhere, and is no other ball."""
+        r = expected.circle[2]
+        radius_px = max(self._radius_px[0], r / (1.0 + LOST_RADIUS)), min(self._radius_px[1], r * (1.0 + LOST_RADIUS))
+        outlines = everywhere(image, self._noise, radius_px, self._view)
+        strangers = self._bystanders.strangers(outlines, expected.circle)
+        look = self._look
+        alike = [s for s in strangers if same_size(s.r_px, r, growth) and (look is None or look.has_levels(s))]
+        if not alike:
+            return Missed(_why_none(len(outlines), len(strangers)))
+        if any(_comes_in(image, s, expected) for s in alike):
+            self._bystanders.came_in([s for s in alike if _comes_in(image, s, expected)])
+            return Missed("a ball that came in over the image's edge while the target was hidden is not taken for it")
+        alike.sort(key=expected.distance_px)
+        nearest_px = expected.distance_px(alike[0])
+        if len(alike) > 1 and nearest_px > CLEARLY_NEARER * expected.distance_px(alike[1]):
+            return Missed(f"{len(alike)} balls are in view: which one is the target cannot be told")
+        if self._bystanders.in_doubt and nearest_px > r:
+            return Missed("another ball is in view: which one is the target cannot be told")
+        return alike[0]
+
+    def _admits(self, found: Found) -> bool:
+        return self._radius_px[0] <= found.r_px <= self._radius_px[1]
+
+
+def _why_none(outlines: int, strangers: int) -> str:
+    if outlines == 0:
+        return "nothing round in the image passes the verification"
+    if strangers == 0:
+        return "another ball is in view, not the target"
+    return "what is round in the image does not look like the target"
+
+
+def _comes_in(image: Image, found: Found, expected: Expected) -> bool:
+    """Whether a ball is at the image's edge although the target was not expected there."""
+    x, y, r = expected.circle
+    radii = EDGE_RADII_HIDDEN if expected.missed > 0 else EDGE_RADII
+    return _to_edge_px(image, x, y) > INSIDE_RADII * r and _to_edge_px(image, found.x_px, found.y_px) < radii * found.r_px
+
+
+def _to_edge_px(image: Image, x_px: float, y_px: float) -> float:
+    """Distance from the nearest edge, negative outside."""
+    height, width = image.shape
+    return float(min(x_px, y_px, width - 1 - x_px, height - 1 - y_px))

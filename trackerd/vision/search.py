@@ -1,81 +1,94 @@
-"""Circles anywhere in an image: seeds for the fit, good to a pixel or two, many of them wrong."""
+"""Circles anywhere in an image: seeds for the fit, good to a pixel or two, some of them wrong.
+
+A Hough transform by arcs: the edges of a smaller picture are followed as chains of pixels, and points of a chain that lie on
+one circle vote for it. That finds what HoughCircles finds, whose time is that of the circles it proposes (seconds in 3 Mpx of
+clutter), and EdgeDrawing, whose detectEllipses of OpenCV 5.0 writes beyond its buffers on a picture of small squares.
+A small picture is not only faster: weak and blurred edges are steeper in it, against less noise.
+"""
 
 from collections.abc import Iterator
-from typing import Any
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
 
 from trackerd.contract.model import Image
+from trackerd.vision.arcs import circles_on
 from trackerd.vision.rays import Circle
 
-_cv2: Any = cv2  # its stubs lack the settings of EdgeDrawing
+CANDIDATES = 6  # of each picture
+SLACK = 0.15  # of a seed's radius
+SMALLEST_SIDE_PX = 16  # of a picture that is worth a look
+SMALLEST_RADIUS_PX = 3.0  # in the smaller picture
+BUSY = 0.05  # share of pixels that may have a gradient worth following: in texture, only the strongest are followed
+WEAKEST, STRONGEST = 24, 160  # gradients (Sobel, both directions' sum) that count as edges
+NOISE_DN, WHITE_DN, WHITE_PERCENT = 2.0, 250.0, 99.9  # of deep images in 8 bits
+SAMPLED_EVERY = 8  # rows and columns, for the above
 
-CANNY_HIGH, VOTES = 30, 18  # of HoughCircles at half size: found 118 of 120 balls down to 16 grey levels of contrast
-CANDIDATES = 6
-BUSY = 0.06  # share of edge pixels from which HoughCircles takes 50 ms and more at 640 x 480, and finds chance circles
-ED_GRADIENT = 20
-ROUND = 0.8  # smallest ratio of an ellipse's axes that may still be a ball with a part of it hidden
+
+@dataclass(frozen=True, slots=True)
+class Pyramid:
+    """One image in 8 bits: full, half and quarter size."""
+
+    full: Image
+    half: Image
+    quarter: Image
+
+    @staticmethod
+    def of(image: Image) -> "Pyramid":
+        full = eight_bits(image)
+        half = _halved(full)
+        return Pyramid(full, half, _halved(half))
+
+    def at(self, scale: int) -> Image:
+        return {1: self.full, 2: self.half, 4: self.quarter}[scale]
 
 
 def candidates(image: Image, radius_px: tuple[float, float]) -> Iterator[Circle]:
-    """Circles (x, y, r) to be fitted and verified: the cheap search's first; the thorough one runs only if they are used up."""
-    grey = _eight_bits(image)
-    yield from hough_circles(grey, radius_px)
-    yield from edge_circles(grey, radius_px)
+    """Circles (x, y, r) to be fitted and verified: a picture is searched only if those before it are used up.
+
+    Of 200 balls of radius 14 to 120 px and contrast 8 to 110 in clutter, 192 are among the quarter's, all among both.
+    """
+    pyramid = Pyramid.of(image)
+    for scale in (4, 2):
+        yield from circles_in(pyramid, radius_px, scale)
 
 
-def hough_circles(grey: Image, radius_px: tuple[float, float]) -> list[Circle]:
-    """The best few of HoughCircles at half size; none in a picture that is all edges."""
-    half = cv2.resize(grey, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
-    threshold = _edge_threshold(half)
-    if threshold is None:
+def circles_in(pyramid: Pyramid, radius_px: tuple[float, float], scale: int) -> list[Circle]:
+    """The best few of the picture that is smaller by `scale`, in pixels of the full one."""
+    grey = pyramid.at(scale)
+    smallest, largest = (1.0 - SLACK) * radius_px[0] / scale, (1.0 + SLACK) * radius_px[1] / scale
+    if min(grey.shape) < SMALLEST_SIDE_PX or largest < SMALLEST_RADIUS_PX:
         return []
-    smallest, largest = max(int(radius_px[0] / 2.0), 2), int(np.ceil(radius_px[1] / 2.0)) + 1
-    found = cv2.HoughCircles(
-        half,
-        cv2.HOUGH_GRADIENT,
-        1.5,
-        minDist=max(smallest, 8),
-        param1=threshold,
-        param2=VOTES,
-        minRadius=smallest,
-        maxRadius=largest,
-    )
-    if found is None:
-        return []
-    return [(2.0 * x + 0.5, 2.0 * y + 0.5, 2.0 * r) for x, y, r in found.reshape(-1, 3)[:CANDIDATES].astype(float)]
+    chains, _ = cv2.findContours(_edges(grey), cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE)
+    found = circles_on(chains, (max(smallest, SMALLEST_RADIUS_PX), largest), CANDIDATES)
+    return [((x + 0.5) * scale - 0.5, (y + 0.5) * scale - 0.5, r * scale) for x, y, r in found]
 
 
-def edge_circles(grey: Image, radius_px: tuple[float, float]) -> list[Circle]:
-    """The roundest ellipses of EdgeDrawing at full size: slower, and finds weak and partly hidden outlines."""
-    drawing = cv2.ximgproc.createEdgeDrawing()
-    settings = _cv2.ximgproc_EdgeDrawing_Params()  # NFA validation is on by default: without it, hundreds a frame
-    settings.GradientThresholdValue = ED_GRADIENT
-    drawing.setParams(settings)
-    drawing.detectEdges(grey)
-    found = drawing.detectEllipses()
-    if found is None:
-        return []
-    circles = []
-    for x, y, radius, a, b, _ in found.reshape(-1, 6).astype(float):
-        long, short = (radius, radius) if radius > 0.0 else (max(a, b), min(a, b))  # a circle has no axes
-        r = float(np.sqrt(long * short))
-        if short >= ROUND * long and radius_px[0] <= r <= radius_px[1]:
-            circles.append((short / long, (x, y, r)))
-    return [circle for _, circle in sorted(circles, reverse=True)[:CANDIDATES]]
+def eight_bits(image: Image) -> Image:
+    """Deeper pixels scaled so that all but the brightest thousandth fit, unless that would show the noise as edges.
 
-
-def _edge_threshold(half: Image) -> int | None:
-    """The lowest Canny threshold that leaves a picture of few edges."""
-    for threshold in (CANNY_HIGH, 2 * CANNY_HIGH, 4 * CANNY_HIGH):
-        if cv2.countNonZero(cv2.Canny(half, threshold / 2, threshold)) <= BUSY * half.size:
-            return threshold
-    return None
-
-
-def _eight_bits(image: Image) -> Image:
-    """Deeper pixels are scaled so that the brightest is 255."""
+    Hot pixels, highlights and a dark picture do not matter: what is brighter than white stays white.
+    """
     if image.dtype == np.uint8:
         return np.ascontiguousarray(image)
-    return cv2.convertScaleAbs(image, alpha=255.0 / max(float(image.max()), 1.0))
+    rows = image[::SAMPLED_EVERY].astype(np.float32)
+    white = max(float(np.percentile(rows[:, ::SAMPLED_EVERY], WHITE_PERCENT)), 1.0)
+    noise = float(np.median(np.abs(np.diff(rows, axis=1)))) if rows.shape[1] > 1 else 0.0
+    return cv2.convertScaleAbs(image, alpha=min(WHITE_DN / white, NOISE_DN / max(noise, 1.0)))
+
+
+def _edges(grey: Image) -> Image:
+    """Canny's, with a threshold that leaves few enough of them."""
+    dx, dy = cv2.spatialGradient(np.ascontiguousarray(grey))
+    strength = cv2.convertScaleAbs(np.abs(dx) + np.abs(dy))
+    histogram = cv2.calcHist([strength], [0], None, [256], [0, 256]).ravel()
+    stronger = np.cumsum(histogram[::-1])[::-1]  # pixels of at least each strength
+    threshold = int(np.clip(np.count_nonzero(stronger > BUSY * grey.size), WEAKEST, STRONGEST))
+    return cv2.Canny(dx, dy, threshold / 2, threshold)
+
+
+def _halved(image: Image) -> Image:
+    """Means of 2 x 2 pixels; an odd row or column is cut off, which keeps X = (x + 0.5) 2 - 0.5 exact."""
+    height, width = max(image.shape[0] // 2, 1), max(image.shape[1] // 2, 1)
+    return cv2.resize(image[: 2 * height, : 2 * width], (width, height), interpolation=cv2.INTER_AREA)

@@ -13,10 +13,10 @@ from math import sqrt
 from typing import Any, Literal
 
 import cv2
-import numpy as np
 
 from trackerd.contract.model import Image
 from trackerd.vision.rays import Circle
+from trackerd.vision.search import eight_bits
 
 _cv2: Any = cv2  # its stubs lack the trackers
 
@@ -99,9 +99,7 @@ def _create(kind: Kind) -> Any:
 def _shrink(image: Image, scale: int) -> Image:
     """An 8-bit image, smaller by a whole number. A resize to a fraction's own size keeps X = (x + 0.5) scale - 0.5 exact
     only where the sides are multiples of the scale: the rest is cut off."""
-    if image.dtype != np.uint8:
-        image = cv2.convertScaleAbs(image, alpha=255.0 / max(float(image.max()), 1.0))
     if scale == 1:
-        return image
+        return eight_bits(image)
     height, width = image.shape[0] // scale, image.shape[1] // scale
-    return cv2.resize(image[: height * scale, : width * scale], (width, height), interpolation=cv2.INTER_LINEAR)
+    return eight_bits(cv2.resize(image[: height * scale, : width * scale], (width, height), interpolation=cv2.INTER_LINEAR))

@@ -1,0 +1,131 @@
+"""Which balls in view are not the target: seen beside it, then followed.
+
+While the target is seen this costs next to nothing: a look round in a small picture every few frames, and a fit for each other
+ball that is close. The frame in which it is first missed brings the rest: the image before, in which it was still seen.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from math import hypot
+
+from trackerd.contract.model import Found, Image, Missed, Outline
+from trackerd.vision.curve import View
+from trackerd.vision.everywhere import everywhere, without
+from trackerd.vision.locate import locate
+from trackerd.vision.noise import NoiseModel
+from trackerd.vision.others import DOUBTED, Others
+from trackerd.vision.rays import Circle
+
+ALIKE = 0.3  # of the target's radius: other balls that are looked for
+ITSELF_RADII = 0.5  # an outline so near to the target's is the target's
+MERGED_RADII, MERGED_PX = 0.5, 16.0  # nearer to each other than this, one outline may be either's
+CLOSE_RADII = 4.0  # another ball so close is followed in every frame
+WATCHED_EVERY, WATCHED_EVERY_LARGE = 24, 72  # frames
+LARGE_IMAGE_PX = 1_000_000
+SMALL_RADIUS_PX = 28.0  # up to this, quarter size is too small to find it
+
+
+class Bystanders:
+    def __init__(self, noise: NoiseModel, radius_px: tuple[float, float]) -> None:
+        self._noise = noise
+        self._radius_px = radius_px
+        self._others = Others()
+        self._view: View | None = None
+        self.forget()
+
+    @property
+    def known(self) -> bool:
+        return bool(self._others.known)
+
+    @property
+    def in_doubt(self) -> bool:
+        """Whether one that is in view may be the target as well."""
+        return any(not other.sure and other.unseen == 0 for other in self._others.known)
+
+    def forget(self) -> None:
+        self._others.forget()
+        self._frames = 0
+        self._last: tuple[Image, Circle] | None = None  # the last image with the target, not yet looked through
+        self._last_is_ours = False
+        self._since_last, self._frames_since_last = (0.0, 0.0), 0
+
+    def go_on(self, moved_px: tuple[float, float], view: View | None) -> None:
+        """One frame later; things at rest have moved by this much in the image."""
+        self._view = view
+        self._others.go_on(moved_px)
+        self._since_last = self._since_last[0] + moved_px[0], self._since_last[1] + moved_px[1]
+        self._frames_since_last += 1
+
+    def watch(self, image: Image, target: Found) -> None:
+        """The target is seen. The image is kept as it is, not copied: it must not change until the next frame was looked at."""
+        circle = target.x_px, target.y_px, target.r_px
+        self._last, self._last_is_ours = (image, circle), False
+        self._since_last, self._frames_since_last = (0.0, 0.0), 0
+        self._frames += 1
+        if self._frames % (WATCHED_EVERY_LARGE if image.size > LARGE_IMAGE_PX else WATCHED_EVERY) == 0:
+            scale = 2 if target.r_px < SMALL_RADIUS_PX else 4
+            self._look_round(image, circle, (scale,))
+        elif self._others.known:
+            self._follow_close(image, circle)
+        self._others.confirm()
+
+    def keep_last_image(self) -> None:
+        """The target was missed just now: the image before is needed for longer than it lasts."""
+        if self._last is not None and not self._last_is_ours:
+            self._last, self._last_is_ours = (self._last[0].copy(), self._last[1]), True
+
+    def judged(self, outline: Found, target: Circle) -> Outline:
+        """An outline near to where the target is expected: it, unless it may be another ball's."""
+        if not self._others.known:
+            return outline
+        other = self._others.nearest(target[0], target[1])
+        if other is not None and other.distance_px(target[0], target[1]) < _merged_px(target) and other.may_be(outline):
+            return Missed("another ball is in the target's place: which one is seen cannot be told")
+        other = self._others.nearest(outline.x_px, outline.y_px)
+        off_px = hypot(outline.x_px - target[0], outline.y_px - target[1])
+        if other is not None and other.distance_px(outline.x_px, outline.y_px) <= off_px and other.may_be(outline):
+            return Missed("another ball is in view, not the target")
+        return outline
+
+    def strangers(self, outlines: Sequence[Found], target: Circle) -> list[Found]:
+        """Those of all outlines in an image that are no other ball's; the others' places are known anew."""
+        if outlines and self._last is not None:
+            self._look_back()
+        return self._others.claim(outlines, target)
+
+    def came_in(self, outlines: Sequence[Found]) -> None:
+        """Balls that came into view while the target was missed: for some time they are not taken for it."""
+        self._others.add(outlines, doubted=DOUBTED)
+
+    def _look_back(self) -> None:
+        """Balls that were in view beside the target when it was last seen, brought to where those at rest are now."""
+        assert self._last is not None
+        (image, circle), (dx, dy), n, self._last = self._last, self._since_last, self._frames_since_last, None
+        before = without(everywhere(image, self._noise, self._alike(circle), self._view), circle, ITSELF_RADII)
+        then = Others()
+        then.known = [replace(o, x_px=o.x_px - dx, y_px=o.y_px - dy, unseen=o.unseen + n) for o in self._others.known]
+        then.add(then.claim(before, circle))
+        then.confirm()
+        for other in then.known:
+            other.x_px, other.y_px, other.unseen = other.x_px + dx, other.y_px + dy, other.unseen + n
+        self._others = then
+
+    def _look_round(self, image: Image, target: Circle, scales: tuple[int, ...]) -> None:
+        found = without(everywhere(image, self._noise, self._alike(target), self._view, scales), target, ITSELF_RADII)
+        self._others.add(self._others.claim(found, target))
+
+    def _follow_close(self, image: Image, target: Circle) -> None:
+        x, y, r = target
+        for other in self._others.known:
+            away_px = other.distance_px(x, y)
+            if _merged_px(target) < away_px < CLOSE_RADII * r:
+                found = locate(image, (other.x_px, other.y_px, other.look.r_px), self._noise, view=self._view)
+                if isinstance(found, Found) and without([found], target, ITSELF_RADII) and other.may_be(found):
+                    other.seen(found)
+
+    def _alike(self, target: Circle) -> tuple[float, float]:
+        return max(target[2] * (1.0 - ALIKE), self._radius_px[0]), min(target[2] * (1.0 + ALIKE), self._radius_px[1])
+
+
+def _merged_px(target: Circle) -> float:
+    return max(MERGED_RADII * target[2], MERGED_PX)

@@ -1,0 +1,148 @@
+"""The other balls in view, each followed roughly, so that none of them is taken for the target.
+
+What is kept is where each was last seen and how fast it went. One that is out of sight might be anywhere that it could have
+reached, and what is found there is not the target's either, unless the target is the nearer one by far.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import hypot
+
+from trackerd.contract.model import Found
+from trackerd.vision.look import Look, same_size
+from trackerd.vision.rays import Circle
+
+ALIKE = 0.25  # of the radius: an outline that differs by more is not this ball's
+FIRST_RADII, FIRST_PX = 2.0, 40.0  # how far one may have gone in its first frame, when its speed is not known
+KNOWN_RADII, KNOWN_PX = 1.0, 16.0  # and how far from its prediction, when it is
+RADII_A_FRAME = 0.5  # more for each frame in which it was not seen
+CARRIED_ON = 20  # frames for which its speed is trusted
+CLEAR_FRAMES = 3  # out of sight for so few, it is where it is expected
+FORGOTTEN = 120  # frames out of sight
+DOUBTED = 100  # frames for which one that may be the target is refused
+NEWEST = 0.5  # share of the newest speed
+TARGETS_RADII, TARGETS_SHARE = 1.0, 0.5  # an outline so near to the target's place, and so much nearer than to this, is not its
+
+
+@dataclass(slots=True)
+class Other:
+    """A ball that is not the target; image coordinates."""
+
+    look: Look
+    x_px: float
+    y_px: float
+    speed_px: tuple[float, float] | None = None  # a frame
+    unseen: int = 0  # frames
+    sure: bool = True  # not the target; False: it was out of sight, and what was found then may be the target as well
+    doubted: int | None = None  # frames for which it is kept, where it may be the target; None: for as long as it is seen
+
+    @property
+    def reach_px(self) -> float:
+        """How far from where it is thought to be it may be."""
+        fast_px = hypot(*self.speed_px) if self.speed_px is not None else 0.0
+        return self._near_px + max(RADII_A_FRAME * self.look.r_px, fast_px) * max(self.unseen - 1, 0)
+
+    @property
+    def _near_px(self) -> float:
+        radii, px = (FIRST_RADII, FIRST_PX) if self.speed_px is None else (KNOWN_RADII, KNOWN_PX)
+        return radii * self.look.r_px + px
+
+    def distance_px(self, x_px: float, y_px: float) -> float:
+        return hypot(x_px - self.x_px, y_px - self.y_px)
+
+    def is_expected_at(self, found: Found) -> bool:
+        near_px = self.reach_px if self.unseen <= CLEAR_FRAMES else self._near_px
+        return self.distance_px(found.x_px, found.y_px) <= near_px
+
+    def may_be(self, found: Found) -> bool:
+        alike = same_size(found.r_px, self.look.r_px, ALIKE) and self.look.has_levels(found)
+        return alike and self.distance_px(found.x_px, found.y_px) <= self.reach_px
+
+    def go_on(self, moved_px: tuple[float, float]) -> None:
+        """One frame later; things at rest have moved by this much in the image."""
+        self.unseen += 1
+        if self.doubted is not None:
+            self.doubted -= 1
+        vx, vy = self.speed_px if self.speed_px is not None and self.unseen <= CARRIED_ON else (0.0, 0.0)
+        self.x_px += moved_px[0] + vx
+        self.y_px += moved_px[1] + vy
+
+    def doubt(self) -> None:
+        self.sure = False
+        self.doubted = DOUBTED if self.doubted is None else self.doubted
+
+    def seen(self, found: Found) -> None:
+        """Found again, after `go_on`; where it was expected tells how much faster it is than was thought."""
+        frames = max(self.unseen, 1)
+        off = (found.x_px - self.x_px) / frames, (found.y_px - self.y_px) / frames
+        if self.speed_px is None:
+            self.speed_px = off
+        elif self.unseen > 0:
+            self.speed_px = self.speed_px[0] + NEWEST * off[0], self.speed_px[1] + NEWEST * off[1]
+        self.x_px, self.y_px, self.unseen = found.x_px, found.y_px, 0
+        self.look = self.look.with_newer(found)
+
+
+class Others:
+    """All of them, in the images of one camera."""
+
+    def __init__(self) -> None:
+        self.known: list[Other] = []
+
+    def forget(self) -> None:
+        self.known = []
+
+    def go_on(self, moved_px: tuple[float, float]) -> None:
+        for other in self.known:
+            other.go_on(moved_px)
+        self.known = [other for other in self.known if other.unseen <= FORGOTTEN and other.doubted != 0]
+
+    def nearest(self, x_px: float, y_px: float) -> Other | None:
+        return min(self.known, key=lambda other: other.distance_px(x_px, y_px), default=None)
+
+    def claim(self, outlines: Sequence[Found], target: Circle) -> list[Found]:
+        """Each that was not yet seen in this frame takes the outline nearest to it; what none could be is given back."""
+        pairs = sorted(
+            (other.distance_px(found.x_px, found.y_px), o, f)
+            for o, other in enumerate(self.known)
+            for f, found in enumerate(outlines)
+            if other.unseen > 0 and _may_claim(other, found, target)
+        )
+        owner: dict[int, int] = {}  # of an outline
+        for _, o, f in pairs:
+            if o not in owner.values() and f not in owner:
+                owner[f] = o
+        nearest = {o: min(px for px, other, _ in pairs if other == o) for o in owner.values()}
+        contested = {o for px, o, f in pairs if f not in owner and px < 2.0 * nearest[o] + self.known[o].look.r_px}
+        for f, o in owner.items():
+            if not self.known[o].is_expected_at(outlines[f]) or (self.known[o].unseen > CLEAR_FRAMES and o in contested):
+                self.known[o].doubt()
+            self.known[o].seen(outlines[f])
+        self._drop_ghosts()
+        return [found for f, found in enumerate(outlines) if f not in owner]
+
+    def confirm(self) -> None:
+        """The target is seen, for sure: who is in view beside it is another ball."""
+        for other in self.known:
+            if other.unseen == 0:
+                other.sure, other.doubted = True, None
+
+    def _drop_ghosts(self) -> None:
+        """What was kept twice: one of the two is seen, the other is out of sight at the same place."""
+        seen = [other for other in self.known if other.unseen == 0]
+        self.known = seen + [
+            other
+            for other in self.known
+            if other.unseen > 0 and all(s.distance_px(other.x_px, other.y_px) > s.look.r_px for s in seen)
+        ]
+
+    def add(self, outlines: Sequence[Found], unseen: int = 0, doubted: int | None = None) -> None:
+        """Balls that nobody knew of."""
+        self.known += [Other(Look.of(found), found.x_px, found.y_px, unseen=unseen, doubted=doubted) for found in outlines]
+
+
+def _may_claim(other: Other, found: Found, target: Circle) -> bool:
+    x, y, r = target
+    from_target = hypot(found.x_px - x, found.y_px - y)
+    targets = from_target <= TARGETS_RADII * r and from_target < TARGETS_SHARE * other.distance_px(found.x_px, found.y_px)
+    return not targets and other.may_be(found)
