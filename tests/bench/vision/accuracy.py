@@ -4,10 +4,10 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 
 import numpy as np
-from limits import LIMITS, Limit, nees_limit, upper_95, worst
+from limits import INFLATED, LIMITS, TRUE, Limit, nees_limit, upper_95, worst
 from peers import PEERS, near_guess
 from score import Score, rms
-from tables import Table, number
+from tables import Table, marked, number
 from trials import Trial, ours
 
 from trackerd.contract.model import Array, Found
@@ -15,6 +15,7 @@ from trackerd.geometry.sphere import centre_and_range
 from trackerd.vision.sphere import sphere_of
 
 NUDGE_PX = 1e-3
+TOLD = 3  # seeds of frames that a reason names
 SPHERES = ("wide", "tele")  # the categories in which direction and range have limits of their own
 
 
@@ -54,11 +55,15 @@ class Judged:
             "range k": lambda: rms(np.array(self.spheres.ranges)),
         }[limit.quantity]()
 
-    def verdict(self) -> str:
-        """Of the category's limits; a failure misses them all."""
-        verdicts = [limit.verdict(self.measured(limit)) for limit in LIMITS[self.category]]
-        nees = nees_limit(self.category, self.ours.inflated_share).verdict(self.ours.nees_2)
-        return worst([*verdicts, nees, *(["MISSED"] if self.ours.failures else [])])
+    def verdicts(self) -> dict[str, str]:
+        """Of each limit, told in words; a failure is one, too."""
+        verdicts = {}
+        for limit in LIMITS[self.category]:
+            value = self.measured(limit)
+            told = limit.told() if limit.quantity in {"k", "p95"} else f"{limit.told()} is {number(value)}"
+            verdicts[told] = limit.verdict(value)
+        verdicts["NEES/2"] = nees_limit(self.category, self.ours.inflated_share).verdict(self.ours.nees_2)
+        return verdicts | {"fails": "MISSED" if self.ours.failures else "stretch"}
 
 
 def judge(category: str, frames: Iterable[Trial], with_peers: bool) -> Judged:
@@ -78,20 +83,18 @@ def judge(category: str, frames: Iterable[Trial], with_peers: bool) -> Judged:
 
 def ours_table(judged: list[Judged]) -> Table:
     table = Table(
-        "Ours: error over the bound of each frame",
+        f"Ours: error over the bound of each frame. NEES/2 {TRUE.told()}, or from {INFLATED.reach[0]:g} where it is told why",
         ("k", "k of r", "bias x", "bias y", "bias r px", "rms px", "95 % px", "fails", "NEES/2", "NEES/3", "inflated"),
     )
     for one in judged:
-        score, limits = one.ours, LIMITS[one.category]
-        told = [f"{limit.told()}: {number(one.measured(limit))}" for limit in limits if limit.quantity != "k"]
-        told += [limit.told() for limit in limits if limit.quantity == "k" and np.isfinite(limit.reach)]
+        score, verdicts = one.ours, one.verdicts()
         table.add(
             one.category,
             *(score.k, score.k_r, *score.bias_px.tolist(), score.rms_px, score.p95_px),
             f"{score.failures}/{score.frames}",
             *(score.nees_2, score.nees_3, f"{100 * score.inflated_share:.0f} %"),
-            verdict=one.verdict(),
-            limit=", ".join(told),
+            verdict=worst(list(verdicts.values())),
+            limit=", ".join(f"{told} {marked(verdict)}" for told, verdict in verdicts.items()),
         )
     return table
 
@@ -111,10 +114,10 @@ def failures_table(judged: list[Judged]) -> Table:
 
 
 def reasons_table(judged: list[Judged]) -> Table:
-    table = Table("Why: nothing found, or a covariance larger than the noise says", ("frames",))
+    table = Table("Why: nothing found, or a covariance larger than the noise says", ("frames", "seeds"))
     for one in judged:
-        for reason, count in sorted(one.ours.reasons.items()):
-            table.add(f"{one.category}: {reason}", count)
+        for reason, seeds in sorted(one.ours.reasons.items()):
+            table.add(f"{one.category}: {reason}", len(seeds), ", ".join(map(str, seeds[:TOLD])))
     return table
 
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from math import isfinite
 
 from scipy.stats import chi2
 
@@ -20,7 +21,8 @@ class Limit:
         return "met" if value <= self.reach else "MISSED"
 
     def told(self) -> str:
-        return f"{self.quantity} <= {self.reach:g}" + ("" if self.stretch is None else f" ({self.stretch:g})")
+        reach = f" {self.reach:g}" if isfinite(self.reach) else ""
+        return f"{self.quantity}{reach}" + ("" if self.stretch is None else f" ({self.stretch:g})")
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,6 +36,10 @@ class Between:
         if self.stretch[0] <= value <= self.stretch[1]:
             return "stretch"
         return "met" if self.reach[0] <= value <= self.reach[1] else "MISSED"
+
+    def told(self) -> str:
+        (low, high), (better_low, better_high) = self.reach, self.stretch
+        return f"{low:g} to {high:g} ({better_low:g} to {better_high:g})"
 
 
 # By category of scenes. p95 is the distance in px from the true centre within which 95 % of the outlines are.

@@ -1,12 +1,14 @@
 """What else finds a circle in an image: each as a user of its library would call it, and helped where that is fair.
 
-All get the same crop about the same guess and the range of radii that the guess allows. An answer that no user would take for
-the guessed ball (another radius, another place) is none; of several the strongest counts where a peer ranks them, else the one
-nearest to the guess. Radii are sqrt(a b) where an ellipse is found; integer coordinates are pixel centres.
+All get the same crop about the same guess and the range of radii that the guess allows, or a whole image and all radii. An
+answer that no user would take for the guessed ball (another radius, another place) is none; of several the strongest counts
+where a peer ranks them, else the one nearest to the guess. Radii are sqrt(a b) where an ellipse is found; integer coordinates
+are pixel centres.
 """
 
 from collections.abc import Callable, Iterable, Iterator
-from math import hypot, sqrt
+from dataclasses import dataclass
+from math import hypot, inf, sqrt
 from typing import Any
 
 import cv2
@@ -27,7 +29,23 @@ _cv2: Any = cv2  # its stubs lack parts of the contributed modules
 
 Circle = tuple[float, float, float]  # x, y, r
 Points = npt.NDArray[np.float64]  # (n, 2)
-Peer = Callable[[Image, Circle], Circle | None]
+
+
+@dataclass(frozen=True, slots=True)
+class Wanted:
+    """A ball about here, of a radius in this range; coordinates are the image's."""
+
+    x_px: float
+    y_px: float
+    radii_px: tuple[float, float]
+    apart_px: float  # how far an answer may be off
+
+    @property
+    def whole_radii(self) -> tuple[int, int]:
+        return max(int(self.radii_px[0]), 1), int(np.ceil(self.radii_px[1]))
+
+
+Peer = Callable[[Image, Wanted], Circle | None]
 
 RADII = 0.2  # of the guessed radius to either side: the guess is off by up to 8 %
 APART_PX, APART_RADII = 10.0, 0.15  # how far an answer may be from the guess: that is off by up to 6 px in x and in y
@@ -49,70 +67,79 @@ def near_guess(peer: Peer, image: Image, guess: Circle) -> Circle | None:
     crop = image[top : max(round(y + reach) + 1, 0), left : max(round(x + reach) + 1, 0)]
     if crop.size == 0:
         return None
-    found = peer(np.ascontiguousarray(crop), (x - left, y - top, r))
+    radii = (1.0 - RADII) * r, (1.0 + RADII) * r
+    found = peer(np.ascontiguousarray(crop), Wanted(x - left, y - top, radii, APART_PX + APART_RADII * r))
     return None if found is None else (found[0] + left, found[1] + top, found[2])
+
+
+def anywhere(peer: Peer, image: Image, radii_px: tuple[float, float]) -> Circle | None:
+    """The peer's answer where nothing is known but the range of radii."""
+    height, width = image.shape
+    return peer(image, Wanted(0.5 * width, 0.5 * height, radii_px, inf))
 
 
 # ---- the peers -------------------------------------------------------------------------------------------------------
 
 
-def hough(image: Image, guess: Circle) -> Circle | None:
-    smallest, largest = _radii(guess)
+def hough(image: Image, wanted: Wanted) -> Circle | None:
+    smallest, largest = wanted.whole_radii
     found = cv2.HoughCircles(image, cv2.HOUGH_GRADIENT, 1, 8, None, CANNY[1], VOTES, smallest, largest)
-    return next(_plausible(_rows(found), guess), None)
+    return next(_plausible(_rows(found), wanted), None)
 
 
-def hough_alt(image: Image, guess: Circle) -> Circle | None:
-    smallest, largest = _radii(guess)
+def hough_alt(image: Image, wanted: Wanted) -> Circle | None:
+    smallest, largest = wanted.whole_radii
     found = cv2.HoughCircles(image, cv2.HOUGH_GRADIENT_ALT, 1.5, 8, None, 300, PERFECT, smallest, largest)
-    return next(_plausible(_rows(found), guess), None)
+    return next(_plausible(_rows(found), wanted), None)
 
 
-def hough_canny_circle(image: Image, guess: Circle) -> Circle | None:
+def hough_canny_circle(image: Image, wanted: Wanted) -> Circle | None:
     """The source thesis's chain: Canny's edges near Hough's circle, and the circle of least squares through them."""
-    seed = hough(image, guess)
+    seed = hough(image, wanted)
     if seed is None:
         return None
     rows, columns = np.nonzero(cv2.Canny(image, *CANNY))
     points = np.column_stack((columns, rows)).astype(np.float64)
     near = np.abs(np.hypot(points[:, 0] - seed[0], points[:, 1] - seed[1]) - seed[2]) < NEAR_PX
-    return _nearest(_least_squares(points[near]), guess)
+    return _nearest(_least_squares(points[near]), wanted)
 
 
-def blob(image: Image, guess: Circle) -> Circle | None:
-    smallest, largest = _radii(guess)
+def blob(image: Image, wanted: Wanted) -> Circle | None:
+    smallest, largest = wanted.whole_radii
     settings = _cv2.SimpleBlobDetector_Params()
     settings.filterByColor = settings.filterByInertia = False
     settings.filterByArea, settings.filterByCircularity, settings.filterByConvexity = True, True, True
     settings.minArea, settings.maxArea = np.pi * smallest**2, np.pi * largest**2
     settings.minCircularity, settings.minConvexity = 0.7, 0.8
     points = _cv2.SimpleBlobDetector_create(settings).detect(image)
-    return _nearest([(p.pt[0], p.pt[1], 0.5 * p.size) for p in points], guess)
+    return _nearest([(p.pt[0], p.pt[1], 0.5 * p.size) for p in points], wanted)
 
 
-def ellipse_on_canny(image: Image, guess: Circle) -> Circle | None:
+def ellipse_on_canny(image: Image, wanted: Wanted) -> Circle | None:
     edges = cv2.Canny(image, *CANNY)
     contours, _ = cv2.findContours(edges, cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE)
-    return _nearest([_of_ellipse(cv2.fitEllipse(contour)) for contour in contours if len(contour) > guess[2]], guess)
+    return _nearest([_of_ellipse(cv2.fitEllipse(contour)) for contour in contours if len(contour) > wanted.radii_px[0]], wanted)
 
 
-def edge_drawing(image: Image, guess: Circle) -> Circle | None:
+def edge_drawing(image: Image, wanted: Wanted) -> Circle | None:
     drawing = _cv2.ximgproc.createEdgeDrawing()
     settings = _cv2.ximgproc_EdgeDrawing_Params()  # with its validation, which is on by default
     settings.GradientThresholdValue = GRADIENT
     drawing.setParams(settings)
     drawing.detectEdges(image)
     found = _rows(drawing.detectEllipses())  # x, y, radius of a circle (0: it is an ellipse), a, b, angle
-    return _nearest([(x, y, r if r > 0.0 else sqrt(a * b)) for x, y, r, a, b, _ in found], guess)
+    return _nearest([(x, y, r if r > 0.0 else sqrt(a * b)) for x, y, r, a, b, _ in found], wanted)
 
 
-def skimage_contours(image: Image, guess: Circle) -> Circle | None:
+def skimage_contours(image: Image, wanted: Wanted) -> Circle | None:
     """Contours half-way between dark and bright, smoothed a little, and a robust circle through the longest of them."""
     smooth = gaussian(image.astype(np.float64), 1.0)
     if smooth.min() == smooth.max():
         return None
     contours = find_contours(smooth, threshold_otsu(smooth))
-    return _nearest([c for contour in contours if len(contour) > guess[2] for c in _robust_circle(contour[:, ::-1])], guess)
+    return _nearest(
+        [c for contour in contours if len(contour) > wanted.radii_px[0] for c in _robust_circle(contour[:, ::-1])], wanted
+    )
 
 
 PEERS: dict[str, Peer] = {
@@ -130,23 +157,24 @@ ABSENT = "" if SKIMAGE else "scikit-image is not installed and not compared: pip
 # ---- what they share -------------------------------------------------------------------------------------------------
 
 
-def _radii(guess: Circle) -> tuple[int, int]:
-    return max(int((1.0 - RADII) * guess[2]), 1), int(np.ceil((1.0 + RADII) * guess[2]))
-
-
 def _rows(found: Any) -> list[list[float]]:
     """OpenCV gives None, (1, n, k) or (n, 1, k)."""
     return [] if found is None else np.asarray(found, np.float64).reshape(-1, np.shape(found)[-1]).tolist()
 
 
-def _plausible(circles: Iterable[Iterable[float]], guess: Circle) -> Iterator[Circle]:
+def _plausible(circles: Iterable[Iterable[float]], wanted: Wanted) -> Iterator[Circle]:
+    smallest, largest = wanted.radii_px
     for x, y, r in circles:
-        if abs(r / guess[2] - 1.0) <= RADII and hypot(x - guess[0], y - guess[1]) <= APART_PX + APART_RADII * guess[2]:
+        if smallest <= r <= largest and _off_px(x, y, wanted) <= wanted.apart_px:
             yield x, y, r
 
 
-def _nearest(circles: Iterable[Iterable[float]], guess: Circle) -> Circle | None:
-    return min(_plausible(circles, guess), key=lambda c: hypot(c[0] - guess[0], c[1] - guess[1]), default=None)
+def _nearest(circles: Iterable[Iterable[float]], wanted: Wanted) -> Circle | None:
+    return min(_plausible(circles, wanted), key=lambda c: _off_px(c[0], c[1], wanted), default=None)
+
+
+def _off_px(x: float, y: float, wanted: Wanted) -> float:
+    return hypot(x - wanted.x_px, y - wanted.y_px)
 
 
 def _least_squares(points: Points) -> list[Circle]:

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass, field
 from math import nan
+from re import sub
 
 import numpy as np
 from trials import Trial
@@ -23,7 +24,7 @@ class Score:
     errors_px: list[Array] = field(default_factory=list)
     sigmas_px: list[Array] = field(default_factory=list)
     nees: list[tuple[float, float]] = field(default_factory=list)  # of (x, y) / 2, of (x, y, r) / 3
-    reasons: dict[str, int] = field(default_factory=dict)  # why the covariance was inflated, or nothing was found
+    reasons: dict[str, list[int]] = field(default_factory=dict)  # seeds of the frames: why inflated, or why nothing was found
 
     def add(self, trial: Trial, circle: Circle | None) -> bool:
         """False: a failure."""
@@ -40,18 +41,18 @@ class Score:
         """With the covariance that the outline claims."""
         if isinstance(outline, Missed):
             self.add(trial, None)
-            self._count(outline.reason)
+            self._note(outline.reason, trial)
         elif self.add(trial, circle_of(outline)):
             error, cov = self.errors_px[-1], outline.cov_px2
             self.nees.append((_normalised(error[:2], cov[:2, :2]), _normalised(error, cov)))
             self.inflated += bool(outline.inflated)
             if outline.inflated:
-                self._count(outline.inflated)
+                self._note(outline.inflated, trial)
         else:
-            self._count("found somewhere else")
+            self._note("found somewhere else", trial)
 
-    def _count(self, reason: str) -> None:
-        self.reasons[reason] = self.reasons.get(reason, 0) + 1
+    def _note(self, reason: str, trial: Trial) -> None:
+        self.reasons.setdefault(sub(r"\d+ %", ".. %", reason), []).append(trial.seed)
 
     @property
     def k(self) -> float:

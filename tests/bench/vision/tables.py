@@ -39,10 +39,15 @@ class Table:
         for heading in ("", "limit (stretch)") if judged else ():
             drawn.add_column(heading)
         for row in self.rows:
-            told = [f"[{COLOURS[row.verdict]}]{row.verdict}[/]" if row.verdict else "", row.limit] if judged else []
+            told = [marked(row.verdict), row.limit] if judged else []
             drawn.add_row(row.name, *map(number, row.values), *told)
         console.print(f"\n[bold]{self.title}[/]")
         console.print(drawn if self.rows else "none")
+
+
+def marked(verdict: str) -> str:
+    """In its colour."""
+    return f"[{COLOURS[verdict]}]{verdict}[/]" if verdict else ""
 
 
 def number(value: Value) -> str:

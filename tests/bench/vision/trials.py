@@ -29,6 +29,7 @@ Circle = tuple[float, float, float]  # x, y, r
 class Trial:
     """One frame. `truth` and `bound_px2` (3, 3) are None where there is no ball."""
 
+    seed: int  # of scene, noise and guess
     image: Image
     picture: Picture
     truth: Truth | None
@@ -59,12 +60,22 @@ class Trial:
 def trials(category: str, seed: int, count: int, cache: Path | None, advance: Callable[[], object]) -> Iterator[Trial]:
     """Each scene of the category once, with noise and a guess of its own."""
     seeds = [seed * SEEDS + n for n in range(count)]
-    for scene_seed, (expected_dn, truth, bound_px2, sensor) in zip(seeds, scenes.frames(category, seeds, cache), strict=True):
-        random = np.random.default_rng((scene_seed, 1))
-        image = expose(expected_dn, sensor, random)
-        guess = any_guess(random, image) if truth is None else guess_about(random, truth.circle)
-        yield Trial(image, scenes.scene(category, scene_seed), truth, bound_px2, sensor, guess)
+    for scene_seed, frame in zip(seeds, scenes.frames(category, seeds, cache), strict=True):
+        yield _trial(category, scene_seed, frame)
         advance()
+
+
+def one_trial(category: str, scene_seed: int) -> Trial:
+    """A frame that the tables named by its seed."""
+    return _trial(category, scene_seed, next(scenes.frames(category, [scene_seed], None, 1)))
+
+
+def _trial(category: str, scene_seed: int, frame: scenes.Frame) -> Trial:
+    expected_dn, truth, bound_px2, sensor = frame
+    random = np.random.default_rng((scene_seed, 1))
+    image = expose(expected_dn, sensor, random)
+    guess = any_guess(random, image) if truth is None else guess_about(random, truth.circle)
+    return Trial(scene_seed, image, scenes.scene(category, scene_seed), truth, bound_px2, sensor, guess)
 
 
 def guess_about(random: np.random.Generator, circle: Circle) -> Circle:
@@ -86,11 +97,11 @@ def timed_trials(seed: int, count: int) -> list[Trial]:
     """Frames of r = 60 with a stem, elsewhere each: for measuring time."""
     random = np.random.default_rng((seed, 2))
     made = []
-    for _ in range(count):
+    for n in range(count):
         circle = (*random.uniform(95.0, 105.0, 2).tolist(), TIMED_R_PX)
         probe_mm = probe_seen_at(circle, RADIUS_MM, LENS, TIMED_ORIGIN_PX)
         stem = Stem(-0.5 * np.pi, 0.4, 120.0)
         picture = Picture((200, 200), LENS, probe_mm, RADIUS_MM, TIMED_ORIGIN_PX, stem=stem)
         image = expose(expected(picture), Sensor(), random)
-        made.append(Trial(image, picture, truth_of(picture), None, Sensor(), guess_about(random, circle)))
+        made.append(Trial(n, image, picture, truth_of(picture), None, Sensor(), guess_about(random, circle)))
     return made
