@@ -42,6 +42,7 @@ RATE_HZ = 110.0
 PERIOD_NS, ARRIVAL_NS, EXPOSURE_NS = round(1e9 / RATE_HZ), 8_000_000, 2_000_000
 ORIGIN_PX = 704, 528
 FALSE_PX, FALSE_SIGMAS = 1.0, 8.0
+ON_IT = 0.15  # of the radius: an outline nearer to a ball than this is that ball's
 PROCESSES = 2
 BATCH = 5  # segments that a process plays at once
 TOLD = 20  # false locks that are told one by one
@@ -62,9 +63,14 @@ class Counted:
     frames: Counter[str] = field(default_factory=Counter)
     right: Counter[str] = field(default_factory=Counter)
     false: Counter[str] = field(default_factory=Counter)
+    off: Counter[str] = field(default_factory=Counter)  # of the false ones: on the target, but badly measured
     begun: Counter[str] = field(default_factory=Counter)  # times that a false lock began: one may last
     told: list[str] = field(default_factory=list)
     step_s: float = 0.0
+
+    @property
+    def counts(self) -> tuple[Counter[str], ...]:
+        return self.frames, self.right, self.false, self.off, self.begun
 
     def add(self, other: "Counted") -> None:
         for mine, its in (
@@ -88,10 +94,11 @@ def play(seed: int, bank: Bank) -> Counted:
         begin = perf_counter()
         step = _step(tracker, n, seen)
         counted.step_s += perf_counter() - begin
-        verdict = judged(step, seen)
+        verdict, on_target = judged(step, seen)
         counted.frames[seen.situation] += 1
         counted.right[seen.situation] += verdict == "right"
         counted.false[seen.situation] += verdict == "false"
+        counted.off[seen.situation] += verdict == "false" and on_target
         if verdict == "false" and not was_false:
             counted.begun[seen.situation] += 1
             counted.told.append(_told(seed, n, segment, seen, step))
@@ -99,14 +106,14 @@ def play(seed: int, bank: Bank) -> Counted:
     return counted
 
 
-def judged(step: Step, seen: Seen) -> str:
-    """right | false | none: what the lock is worth, if it is one."""
+def judged(step: Step, seen: Seen) -> tuple[str, bool]:
+    """right | false | none: what the lock is worth, if it is one; and whether it is the target that was measured."""
     if step.state is not TrackState.LOCKED or not isinstance(step.outline, Found):
-        return "none"
+        return "none", False
     x, y = step.outline.x_px - ORIGIN_PX[0], step.outline.y_px - ORIGIN_PX[1]
     sigma_px = sqrt(max(step.outline.cov_px2[0, 0], step.outline.cov_px2[1, 1]))
     off_px = hypot(x - seen.target[0], y - seen.target[1])
-    return "right" if off_px <= max(FALSE_PX, FALSE_SIGMAS * sigma_px) else "false"
+    return "right" if off_px <= max(FALSE_PX, FALSE_SIGMAS * sigma_px) else "false", off_px < ON_IT * seen.target[2]
 
 
 def _step(tracker: Tracker, n: int, seen: Seen) -> Step:
@@ -123,10 +130,13 @@ def _chosen(seen: Seen) -> TrackingSettings:
 def _told(seed: int, n: int, segment: Segment, seen: Seen, step: Step) -> str:
     assert isinstance(step.outline, Found)
     x, y, r = step.outline.x_px - ORIGIN_PX[0], step.outline.y_px - ORIGIN_PX[1], step.outline.r_px
-    on_other = seen.other is not None and hypot(x - seen.other[0], y - seen.other[1]) < 0.2 * seen.other[2]
-    target, what = "({:.1f}, {:.1f}, {:.1f})".format(*seen.target), "the second ball" if on_other else "something else"
+    what = "something else"
+    if seen.other is not None and hypot(x - seen.other[0], y - seen.other[1]) < ON_IT * seen.other[2]:
+        what = "the second ball"
+    if hypot(x - seen.target[0], y - seen.target[1]) < ON_IT * seen.target[2]:
+        what = "the target, badly measured"
     where = f"seed {seed} frame {n}, {seen.situation}, second {segment.second}"
-    return f"{where}: {what} at ({x:.1f}, {y:.1f}, {r:.1f}), target {target}"
+    return f"{where}: {what} at ({x:.1f}, {y:.1f}, {r:.1f}), target " + "({:.1f}, {:.1f}, {:.1f})".format(*seen.target)
 
 
 # ---- processes -------------------------------------------------------------------------------------------------------
@@ -160,17 +170,18 @@ def run(seed: int, frames: int) -> Iterator[tuple[int, Counted]]:
 
 
 def table(counted: Counted) -> Table:
-    drawn = Table(
-        "False locks", ("frames", "locked on the target, %", "falsely locked", "times", "at 95 % less than, per hour")
-    )
+    falsely = ("falsely locked", "of these on the target", "times")
+    drawn = Table("False locks", ("frames", "locked on the target, %", *falsely, "at 95 % less than, per hour"))
     for situation in sorted(counted.frames):
-        frames, false, begun = (count[situation] for count in (counted.frames, counted.false, counted.begun))
-        drawn.add(situation, frames, 100.0 * counted.right[situation] / frames, false, begun, _per_hour(begun, frames))
-    frames, false, begun = counted.frames.total(), counted.false.total(), counted.begun.total()
-    verdict = "MISSED" if false else "met"
-    share = 100.0 * counted.right.total() / frames
-    drawn.add("all", frames, share, false, begun, _per_hour(begun, frames), verdict=verdict, limit="0 false locks")
+        drawn.add(situation, *_row([count[situation] for count in counted.counts]))
+    verdict = "MISSED" if counted.false.total() else "met"
+    drawn.add("all", *_row([count.total() for count in counted.counts]), verdict=verdict, limit="0 false locks")
     return drawn
+
+
+def _row(counts: list[int]) -> tuple[int | float, ...]:
+    frames, right, false, off, begun = counts
+    return frames, 100.0 * right / frames, false, off, begun, _per_hour(begun, frames)
 
 
 def _per_hour(begun: int, frames: int) -> float:

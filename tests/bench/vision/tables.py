@@ -56,7 +56,7 @@ def number(value: Value) -> str:
         return value
     if isnan(value):
         return "-"
-    if isinstance(value, int) or abs(value) >= 1000.0:
+    if isinstance(value, int) or value == 0.0 or abs(value) >= 1000.0:
         return f"{value:.0f}"
     digits = 4 if abs(value) < 0.0995 else 3 if abs(value) < 0.995 else 2 if abs(value) < 99.5 else 0
     return f"{value:.{digits}f}"
