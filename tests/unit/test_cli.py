@@ -28,7 +28,7 @@ OPTIONS = {
     "check": ("--config", "--set"),
     "twin": ("--config", "--set", "--record", "--duration", "--with-parent"),
     "watch": ("--config", "--set", "--duration", "--plain"),
-    "select": ("--config", "--set", "--gimbal", "--pixel", "auto"),
+    "select": ("--config", "--set", "--gimbal", "--pixel", "--radius", "auto"),
     "arm": ("--config", "--set", "--gimbal", "--hold", "small slow move"),
     "calibrate": ("noise",),
     "calibrate noise": ("PATH", "--config", "--set", "--out", "--camera", "--frames", "Exit status 3"),

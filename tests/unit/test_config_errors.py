@@ -110,6 +110,16 @@ WRONG = [
         "[gimbal.right.tracking]\nradius_px = [50, 20]\n[gimbal.right]",
         "[gimbal.right.tracking] radius_px = [50, 20]: needs 3 <= smallest < largest",
     ),
+    (
+        "[gimbal.right]",
+        "[gimbal.right.tracking]\ntarget_radius_px = 60.0\n[gimbal.right]",
+        "[gimbal.right.tracking] target_radius_px = 60.0: needs target_px: the two are one guess of where the target is",
+    ),
+    (
+        "[gimbal.right]",
+        "[gimbal.right.tracking]\ntarget_px = [1020, 760]\ntarget_radius_px = 600\n[gimbal.right]",
+        "[gimbal.right.tracking] target_radius_px = 600: must lie within radius_px = [12, 250]",
+    ),
     ('host = "10.0.0.1"', "", "[gimbal.left] host: is missing and has no default"),
     ('host = "10.0.0.1"', "host = 10", "[gimbal.left] host = 10: must be text in quotes"),
     (

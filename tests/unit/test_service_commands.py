@@ -22,8 +22,8 @@ class Station:
     def hold(self, reason: str) -> None:
         self.told.append(reason)
 
-    def select(self, pixel: tuple[float, float] | None) -> None:
-        self.told.append(pixel)
+    def select(self, pixel: tuple[float, float] | None, radius_px: float | None) -> None:
+        self.told.append(pixel if radius_px is None else (*pixel, radius_px))
 
 
 @pytest.fixture
@@ -50,7 +50,9 @@ def test_one_gimbal_alone_is_armed_or_held(commands: Commands, stations: dict[st
 def test_a_target_is_selected_by_pixel_or_left_to_itself(commands: Commands, stations: dict[str, Station]) -> None:
     assert commands.select({"gimbal": "left", "pixel": [1020, 760.5]}) == {"gimbals": {"left": "selected"}}
     assert commands.select({"gimbal": "left", "pixel": None}) == {"gimbals": {"left": "finds its target by itself"}}
-    assert stations["left"].told == [(1020.0, 760.5), None]
+    guess = {"gimbal": "left", "pixel": [1020, 760.5], "radius_px": 63}
+    assert commands.select(guess) == {"gimbals": {"left": "selected"}}
+    assert stations["left"].told == [(1020.0, 760.5), None, (1020.0, 760.5, 63.0)]
     assert stations["right"].told == []
 
 
@@ -63,6 +65,8 @@ def test_a_target_is_selected_by_pixel_or_left_to_itself(commands: Commands, sta
         ("arm", {"hold": "false"}, "hold 'false': needs true or false"),
         ("arm", {"hold": None}, "hold None: needs true or false"),
         ("select", {"pixel": [1, 2]}, 'needs "gimbal" and "pixel"'),
+        ("select", {"gimbal": "left", "pixel": [1, 2], "radius_px": 0}, "needs a number above 0"),
+        ("select", {"gimbal": "left", "pixel": None, "radius_px": 60.0}, "and a pixel"),
         ("select", {"gimbal": "left"}, 'needs "gimbal" and "pixel"'),
         ("select", {"gimbal": "left", "pixel": [1]}, r"needs two numbers \[x, y\]"),
         ("select", {"gimbal": "left", "pixel": "1,2"}, r"needs two numbers"),

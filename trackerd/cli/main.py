@@ -137,6 +137,7 @@ def _add_select(commands: "argparse._SubParsersAction[argparse.ArgumentParser]")
     )
     parser.add_argument("--gimbal", required=True, metavar="NAME")
     parser.add_argument("--pixel", required=True, type=pixel, metavar="X,Y", help="sensor pixel, or auto")
+    parser.add_argument("--radius", type=float, metavar="PX", help="its radius there: the pixel is a guess, looked at first")
     parser.set_defaults(run=_select)
     return parser
 
@@ -235,7 +236,8 @@ def _select(options: argparse.Namespace) -> int:
     from trackerd.cli.ask import ask
 
     pixel = None if options.pixel == "auto" else options.pixel
-    return ask(options.config, options.overrides, "select", {"gimbal": options.gimbal, "pixel": pixel})
+    request = {"gimbal": options.gimbal, "pixel": pixel} | ({} if options.radius is None else {"radius_px": options.radius})
+    return ask(options.config, options.overrides, "select", request)
 
 
 def _arm(options: argparse.Namespace) -> int:

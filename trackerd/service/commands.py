@@ -36,14 +36,18 @@ class Commands:
         return {"gimbals": answers}
 
     def select(self, request: dict[str, Any]) -> dict[str, Any]:
-        """{"gimbal": name, "pixel": [x, y]}: the target nearest to that sensor pixel; null lets it be found by itself."""
-        _known_keys(request, {"gimbal", "pixel"})
+        """{"gimbal": name, "pixel": [x, y]}: the target nearest to that sensor pixel; null lets it be found by itself.
+
+        With "radius_px" as well, pixel and radius are a guess: the target is looked for right there first.
+        """
+        _known_keys(request, {"gimbal", "pixel", "radius_px"})
         if "gimbal" not in request or "pixel" not in request:
             raise ValueError('needs "gimbal" and "pixel"')
-        pixel = request["pixel"]
+        pixel = None if request["pixel"] is None else _pixel(request["pixel"])
+        radius_px = None if request.get("radius_px") is None else _radius(request["radius_px"], pixel)
         chosen = self._chosen(request)
         for part in chosen.values():
-            part.task.select(None if pixel is None else _pixel(pixel))
+            part.task.select(pixel, radius_px)
         return {"gimbals": dict.fromkeys(chosen, "selected" if pixel is not None else "finds its target by itself")}
 
     def _chosen(self, request: dict[str, Any]) -> dict[str, StationParts]:
@@ -65,6 +69,12 @@ def _pixel(value: Any) -> tuple[float, float]:
     if not isinstance(value, list) or len(value) != 2 or not all(map(_is_number, value)):
         raise ValueError(f"pixel {value!r}: needs two numbers [x, y]")
     return float(value[0]), float(value[1])
+
+
+def _radius(value: Any, pixel: tuple[float, float] | None) -> float:
+    if pixel is None or not _is_number(value) or value <= 0.0:
+        raise ValueError(f"radius_px {value!r}: needs a number above 0, and a pixel")
+    return float(value)
 
 
 def _is_number(value: Any) -> bool:

@@ -54,8 +54,8 @@ class StationTask:
         self._clock = clock
         self._out = out
 
-    def select(self, pixel: tuple[float, float] | None) -> None:
-        self._tracker.select(pixel)
+    def select(self, pixel: tuple[float, float] | None, radius_px: float | None = None) -> None:
+        self._tracker.select(pixel, radius_px)
 
     async def run(self, camera: Camera) -> None:
         """Until cancelled, the stream breaks (DeviceError) or a recording ends. Each pass numbers frames and latches anew."""
