@@ -36,6 +36,7 @@ SMALL_IMAGE_PX = 1_500_000  # a greater image is searched for an unknown ball in
 KEPT_FRAMES = 300  # after a loss: then light, range or target may have changed, and whatever is found is the target
 CLEARLY_NEARER = 0.5  # of the next one's distance
 EDGE_RADII, EDGE_RADII_HIDDEN = 1.0, 1.5  # a ball so near to the image's edge comes in over it
+NOTHING = "nothing round in the image passes the verification"
 INSIDE_RADII = 2.0  # the target left over the edge if it was expected nearer to it than this
 
 
@@ -112,7 +113,7 @@ class Acquisition:
             if self._lost_frames > KEPT_FRAMES:
                 self._look = None
             if self._look is not None or self._bystanders.known:
-                return self._elsewhere(image, self._lost, LOST_RADIUS)
+                return self._elsewhere(image, self._lost, LOST_RADIUS) or Missed(NOTHING)
         if image.size > SMALL_IMAGE_PX and frame_id % 2:
             return Missed("a large image is searched in every second frame")
         return search(image, self._noise, self._radius_px, near_px, self._view)
@@ -138,8 +139,7 @@ class Acquisition:
             again = self._at(image, (box[0], box[1], expected.circle[2]), expected)
             if isinstance(again, Found):
                 return again
-        found = self._elsewhere(image, expected, SAME_RADIUS)
-        return found if isinstance(found, Found) or self._bystanders.known else first
+        return self._elsewhere(image, expected, SAME_RADIUS) or first
 
     def learn(self, image: Image, found: Found) -> None:
         """A verified outline of the target, to be remembered. `image` must stay as it is until the next one was looked at."""
@@ -171,8 +171,8 @@ class Acquisition:
             )
         return self._bystanders.judged(outline, expected.circle)
 
-    def _elsewhere(self, image: Image, expected: Expected, growth: float) -> Outline:
-        """Whatever looks like the target, anywhere, and is no other ball."""
+    def _elsewhere(self, image: Image, expected: Expected, growth: float) -> Outline | None:
+        """Whatever looks like the target, anywhere, and is no other ball. None: nothing is round."""
         r = expected.circle[2]
         radius_px = max(self._radius_px[0], r / (1.0 + LOST_RADIUS)), min(self._radius_px[1], r * (1.0 + LOST_RADIUS))
         outlines = everywhere(image, self._noise, radius_px, self._view)
@@ -180,7 +180,7 @@ class Acquisition:
         look = self._look
         alike = [s for s in strangers if same_size(s.r_px, r, growth) and (look is None or look.has_levels(s))]
         if not alike:
-            return Missed(_why_none(len(outlines), len(strangers)))
+            return _why_none(len(outlines), len(strangers))
         if any(_comes_in(image, s, expected) for s in alike):
             self._bystanders.came_in([s for s in alike if _comes_in(image, s, expected)])
             return Missed("a ball that came in over the image's edge while the target was hidden is not taken for it")
@@ -188,7 +188,7 @@ class Acquisition:
         nearest_px = expected.distance_px(alike[0])
         if len(alike) > 1 and nearest_px > CLEARLY_NEARER * expected.distance_px(alike[1]):
             return Missed(f"{len(alike)} balls are in view: which one is the target cannot be told")
-        if self._bystanders.in_doubt and nearest_px > r:
+        if (self._bystanders.in_doubt and nearest_px > r) or self._bystanders.covers(alike[0], expected.circle):
             return Missed("another ball is in view: which one is the target cannot be told")
         return alike[0]
 
@@ -196,12 +196,12 @@ class Acquisition:
         return self._radius_px[0] <= found.r_px <= self._radius_px[1]
 
 
-def _why_none(outlines: int, strangers: int) -> str:
+def _why_none(outlines: int, strangers: int) -> Missed | None:
     if outlines == 0:
-        return "nothing round in the image passes the verification"
-    if strangers == 0:
-        return "another ball is in view, not the target"
-    return "what is round in the image does not look like the target"
+        return None
+    return Missed(
+        "another ball is in view, not the target" if strangers == 0 else "what is round in view has not the target's look"
+    )
 
 
 def _comes_in(image: Image, found: Found, expected: Expected) -> bool:

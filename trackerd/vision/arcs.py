@@ -15,8 +15,8 @@ SPAN_RADII = (0.8, 3.2)  # of radii: of its own length
 NEAR_PX, NEAR_RADII = 1.0, 0.02  # the points half-way between the three lie on the circle to this
 STEPS_A_PX = 0.9  # of a chain along a circle, which goes straight or diagonally
 CELL = 0.25  # of the radius: votes nearer than this are for one circle
-PEAKS = 16  # cells that are looked at
-LEAST_VOTES = 0.15  # of a whole circle's
+PEAKS = 12  # cells that are looked at
+LEAST_VOTES = 0.28  # of a whole circle's: half an outline, with gaps in its edges
 SAME = 0.2  # of the radius
 
 Votes = npt.NDArray[np.float32]  # (4, n): x, y, r and share of that circle's outline
@@ -81,7 +81,7 @@ def _peaks(votes: Votes, most: int) -> list[Circle]:
             )
             if len(near) == 0:
                 break
-            circle = tuple(np.median(votes[:3, near], axis=1).tolist())
+            circle = tuple(np.sort(votes[:3, near], axis=1)[:, len(near) // 2].tolist())
         sum_of_shares = float(share[near].sum())
         if sum_of_shares > LEAST_VOTES and not any(_alike(circle, other, SAME) for _, other in found):
             found.append((sum_of_shares, circle))

@@ -6,21 +6,20 @@ ball that is close. The frame in which it is first missed brings the rest: the i
 
 from collections.abc import Sequence
 from dataclasses import replace
-from math import hypot
 
 from trackerd.contract.model import Found, Image, Missed, Outline
 from trackerd.vision.curve import View
 from trackerd.vision.everywhere import everywhere, without
 from trackerd.vision.locate import locate
 from trackerd.vision.noise import NoiseModel
-from trackerd.vision.others import DOUBTED, Others
+from trackerd.vision.others import DOUBTED, ITSELF_RADII, Others
 from trackerd.vision.rays import Circle
 
 ALIKE = 0.3  # of the target's radius: other balls that are looked for
-ITSELF_RADII = 0.5  # an outline so near to the target's is the target's
 MERGED_RADII, MERGED_PX = 0.5, 16.0  # nearer to each other than this, one outline may be either's
 CLOSE_RADII = 4.0  # another ball so close is followed in every frame
 WATCHED_EVERY, WATCHED_EVERY_LARGE = 24, 72  # frames
+WATCHED_EVERY_LOST, LOST_FRAMES = 4, 3  # where one that was close is not where it was expected for so long
 LARGE_IMAGE_PX = 1_000_000
 SMALL_RADIUS_PX = 28.0  # up to this, quarter size is too small to find it
 
@@ -62,7 +61,8 @@ class Bystanders:
         self._last, self._last_is_ours = (image, circle), False
         self._since_last, self._frames_since_last = (0.0, 0.0), 0
         self._frames += 1
-        if self._frames % (WATCHED_EVERY_LARGE if image.size > LARGE_IMAGE_PX else WATCHED_EVERY) == 0:
+        every = WATCHED_EVERY_LARGE if image.size > LARGE_IMAGE_PX else WATCHED_EVERY
+        if self._frames % (WATCHED_EVERY_LOST if self._has_lost_a_close_one(circle) else every) == 0:
             scale = 2 if target.r_px < SMALL_RADIUS_PX else 4
             self._look_round(image, circle, (scale,))
         elif self._others.known:
@@ -78,14 +78,16 @@ class Bystanders:
         """An outline near to where the target is expected: it, unless it may be another ball's."""
         if not self._others.known:
             return outline
-        other = self._others.nearest(target[0], target[1])
-        if other is not None and other.distance_px(target[0], target[1]) < _merged_px(target) and other.may_be(outline):
+        if self.covers(outline, target):
             return Missed("another ball is in the target's place: which one is seen cannot be told")
-        other = self._others.nearest(outline.x_px, outline.y_px)
-        off_px = hypot(outline.x_px - target[0], outline.y_px - target[1])
-        if other is not None and other.distance_px(outline.x_px, outline.y_px) <= off_px and other.may_be(outline):
-            return Missed("another ball is in view, not the target")
+        if self._others.may_own(outline, target):
+            return Missed("another ball is in view: this may be it, and not the target")
         return outline
+
+    def covers(self, outline: Found, target: Circle) -> bool:
+        """Whether another ball is expected in the target's place, and this may be it."""
+        other = self._others.nearest(target[0], target[1])
+        return other is not None and other.distance_px(target[0], target[1]) < _merged_px(target) and other.may_be(outline)
 
     def strangers(self, outlines: Sequence[Found], target: Circle) -> list[Found]:
         """Those of all outlines in an image that are no other ball's; the others' places are known anew."""
@@ -107,7 +109,7 @@ class Bystanders:
         then.add(then.claim(before, circle))
         then.confirm()
         for other in then.known:
-            other.x_px, other.y_px, other.unseen = other.x_px + dx, other.y_px + dy, other.unseen + n
+            other.x_px, other.y_px, other.unseen = other.x_px + dx, other.y_px + dy, max(other.unseen, n)
         self._others = then
 
     def _look_round(self, image: Image, target: Circle, scales: tuple[int, ...]) -> None:
@@ -122,6 +124,13 @@ class Bystanders:
                 found = locate(image, (other.x_px, other.y_px, other.look.r_px), self._noise, view=self._view)
                 if isinstance(found, Found) and without([found], target, ITSELF_RADII) and other.may_be(found):
                     other.seen(found)
+
+    def _has_lost_a_close_one(self, target: Circle) -> bool:
+        """Whether one that may be near to the target is out of sight, though not in front of it or behind it."""
+        return any(
+            other.unseen >= LOST_FRAMES and other.distance_px(target[0], target[1]) < CLOSE_RADII * target[2] + other.reach_px
+            for other in self._others.known
+        )
 
     def _alike(self, target: Circle) -> tuple[float, float]:
         return max(target[2] * (1.0 - ALIKE), self._radius_px[0]), min(target[2] * (1.0 + ALIKE), self._radius_px[1])

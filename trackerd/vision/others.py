@@ -21,7 +21,9 @@ CLEAR_FRAMES = 3  # out of sight for so few, it is where it is expected
 FORGOTTEN = 120  # frames out of sight
 DOUBTED = 100  # frames for which one that may be the target is refused
 NEWEST = 0.5  # share of the newest speed
-TARGETS_RADII, TARGETS_SHARE = 1.0, 0.5  # an outline so near to the target's place, and so much nearer than to this, is not its
+ITSELF_RADII = 0.5  # two outlines so near to each other are one ball's
+TARGETS_SHARE = 0.5  # an outline so much nearer to the target's place than to another ball's is the target's, up to
+TARGETS_RADII, TARGETS_RADII_DOUBTED = 1.0, 0.3  # so many of its radii, and where that other was out of sight
 
 
 @dataclass(slots=True)
@@ -100,6 +102,10 @@ class Others:
     def nearest(self, x_px: float, y_px: float) -> Other | None:
         return min(self.known, key=lambda other: other.distance_px(x_px, y_px), default=None)
 
+    def may_own(self, found: Found, target: Circle) -> bool:
+        """Whether an outline may be one of theirs rather than the target's, which is expected there."""
+        return any(_may_claim(other, found, target) for other in self.known)
+
     def claim(self, outlines: Sequence[Found], target: Circle) -> list[Found]:
         """Each that was not yet seen in this frame takes the outline nearest to it; what none could be is given back."""
         pairs = sorted(
@@ -137,12 +143,16 @@ class Others:
         ]
 
     def add(self, outlines: Sequence[Found], unseen: int = 0, doubted: int | None = None) -> None:
-        """Balls that nobody knew of."""
-        self.known += [Other(Look.of(found), found.x_px, found.y_px, unseen=unseen, doubted=doubted) for found in outlines]
+        """Balls that nobody knew of, or that were already seen in this frame."""
+        for found in outlines:
+            if not any(o.unseen == 0 and o.distance_px(found.x_px, found.y_px) < ITSELF_RADII * found.r_px for o in self.known):
+                self.known.append(Other(Look.of(found), found.x_px, found.y_px, unseen=unseen, doubted=doubted))
 
 
 def _may_claim(other: Other, found: Found, target: Circle) -> bool:
+    """Whether an outline may be this one's: it is in its reach, and not in the target's very place."""
     x, y, r = target
-    from_target = hypot(found.x_px - x, found.y_px - y)
-    targets = from_target <= TARGETS_RADII * r and from_target < TARGETS_SHARE * other.distance_px(found.x_px, found.y_px)
+    from_target_px = hypot(found.x_px - x, found.y_px - y)
+    radii = TARGETS_RADII if other.unseen <= CLEAR_FRAMES else TARGETS_RADII_DOUBTED
+    targets = from_target_px <= radii * r and from_target_px < TARGETS_SHARE * other.distance_px(found.x_px, found.y_px)
     return not targets and other.may_be(found)

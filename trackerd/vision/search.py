@@ -17,6 +17,7 @@ from trackerd.vision.arcs import circles_on
 from trackerd.vision.rays import Circle
 
 CANDIDATES = 6  # of each picture
+SAME_SEED_PX = 2.5  # the fit looks round a seed for much more than this
 SLACK = 0.15  # of a seed's radius
 SMALLEST_SIDE_PX = 16  # of a picture that is worth a look
 SMALLEST_RADIUS_PX = 3.0  # in the smaller picture
@@ -50,8 +51,17 @@ def candidates(image: Image, radius_px: tuple[float, float]) -> Iterator[Circle]
     Of 200 balls of radius 14 to 120 px and contrast 8 to 110 in clutter, 192 are among the quarter's, all among both.
     """
     pyramid = Pyramid.of(image)
+    tried: list[Circle] = []
     for scale in (4, 2):
-        yield from circles_in(pyramid, radius_px, scale)
+        for circle in circles_in(pyramid, radius_px, scale):
+            if not any(same_seed(circle, other) for other in tried):
+                tried.append(circle)
+                yield circle
+
+
+def same_seed(a: Circle, b: Circle) -> bool:
+    """Whether a fit from the one would find what a fit from the other did."""
+    return max(abs(a[0] - b[0]), abs(a[1] - b[1]), abs(a[2] - b[2])) < SAME_SEED_PX
 
 
 def circles_in(pyramid: Pyramid, radius_px: tuple[float, float], scale: int) -> list[Circle]:
