@@ -26,10 +26,10 @@ def draw(judged: list[Judged], file: Path) -> None:
     for name, (marker, colour) in _looks().items():
         axes.plot([], [], marker, color=colour, markersize=5, linestyle="none", label=name)
     axes.plot([], [], "o", color=OURS, markersize=9, linestyle="none", label="ours")
-    axes.plot([], [], "|", color=REACH, markersize=15, markeredgewidth=2.5, linestyle="none", label="to reach")
-    axes.plot([], [], "|", color=STRETCH, markersize=15, markeredgewidth=1.2, linestyle="none", label="stretch")
+    axes.plot([], [], "|", color=REACH, markersize=9, markeredgewidth=2.5, linestyle="none", label="to reach")
+    axes.plot([], [], "|", color=STRETCH, markersize=9, markeredgewidth=1.2, linestyle="none", label="stretch")
     axes.set_yticks(range(len(judged)), [f"{one.category} ({one.ours.frames})" for one in judged])
-    axes.invert_yaxis()
+    axes.set_ylim(len(judged) - 0.5, -0.5)
     axes.set_xscale("log")
     axes.axvline(1.0, color="black", linewidth=0.8)
     axes.grid(visible=True, axis="x", which="both", alpha=0.25)
