@@ -73,12 +73,7 @@ class Counted:
         return self.frames, self.right, self.false, self.off, self.begun
 
     def add(self, other: "Counted") -> None:
-        for mine, its in (
-            (self.frames, other.frames),
-            (self.right, other.right),
-            (self.false, other.false),
-            (self.begun, other.begun),
-        ):
+        for mine, its in zip(self.counts, other.counts, strict=True):
             mine.update(its)
         self.told += other.told
         self.step_s += other.step_s
