@@ -185,7 +185,7 @@ def test_drops_hides_and_jumps_in_any_order_never_end_on_the_other_ball(seed: in
     other = wandering(random, frames, 0.6 * r_px, float(random.choice((2.0, 6.0, 10.0))))
     other += (target[0] + (240.0, 180.0)) % (480.0, 360.0) - other[0] if np.hypot(*(target[0] - other[0])) < 3.0 * r_px else 0.0
     scenes, watcher = Scenes(seed=seed), Watcher(tracking=TrackingSettings(target_px=tuple(target[0].tolist())))
-    hidden_until, locked = 0, 0
+    hidden_until, locked, visible = 0, 0, 0
     for n in range(frames):
         if n > 10 and random.random() < 0.02:
             hidden_until = n + int(random.integers(1, 41))
@@ -201,4 +201,5 @@ def test_drops_hides_and_jumps_in_any_order_never_end_on_the_other_ball(seed: in
         step = watcher.see(scenes.picture(discs))
         assert locked_off_px(step, place) < max(1.0, 0.05 * r_px), f"frame {n}"
         locked += step.state is TrackState.LOCKED
-    assert locked > 0.25 * frames
+        visible += place is not None
+    assert locked > 0.3 * visible  # it does not refuse everything either

@@ -7,9 +7,9 @@ from trackerd.contract.clock import HostNs
 from trackerd.contract.model import Found
 from trackerd.vision.drift import Drift
 from trackerd.vision.look import Look, same_size
-from trackerd.vision.others import DOUBTED, FORGOTTEN, Others
+from trackerd.vision.others import DOUBTED_NEW, FORGOTTEN, Others, Place
 
-FAR = (1000.0, 1000.0, 40.0)  # where the target is expected: out of the way
+FAR = Place((1000.0, 1000.0, 40.0), 0)  # where the target is expected: out of the way
 
 
 def outline(x: float, y: float, r: float = 40.0, inside: float = 160.0, outside: float = 60.0) -> Found:
@@ -91,7 +91,7 @@ def test_what_lies_in_the_target_s_very_place_is_the_target_s() -> None:
     others.add([outline(100.0, 100.0)])
     others.go_on((0.0, 0.0))
     found = outline(152.0, 100.0)
-    assert others.claim([found], (150.0, 100.0, 40.0)) == [found]
+    assert others.claim([found], Place((150.0, 100.0, 40.0), 0)) == [found]
 
 
 def test_after_some_time_out_of_sight_it_may_be_anywhere_and_what_it_took_is_in_doubt() -> None:
@@ -107,12 +107,12 @@ def test_after_some_time_out_of_sight_it_may_be_anywhere_and_what_it_took_is_in_
 
 def test_doubt_ends_and_so_does_the_memory_of_what_is_out_of_sight() -> None:
     others = Others()
-    others.add([outline(100.0, 100.0)], doubted=DOUBTED)
+    others.add([outline(100.0, 100.0)], doubted=DOUBTED_NEW)
     others.add([outline(900.0, 100.0)])
-    for _ in range(DOUBTED):
+    for _ in range(DOUBTED_NEW):
         others.go_on((0.0, 0.0))
     assert len(others.known) == 1
-    for _ in range(FORGOTTEN - DOUBTED + 1):
+    for _ in range(FORGOTTEN - DOUBTED_NEW + 1):
         others.go_on((0.0, 0.0))
     assert others.known == []
 

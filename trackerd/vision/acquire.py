@@ -9,7 +9,8 @@ What cannot be known is refused, with the reason: an outline where the target an
 radius; one of two outlines that are equally near; for 100 frames a ball that comes in over the image's edge while the target
 was hidden in the middle, and one that may be another's that was out of sight as well as the target. What is not guaranteed,
 because no image shows it: equal balls of which the target and another were hidden at one time, away from where each was last
-seen; and an equal ball that nobody had seen (it was behind something) and that appears while the target is hidden.
+seen; and an equal ball that nobody had seen (it was behind something, or nearly all behind the target) and that appears while
+the target is hidden.
 """
 
 from dataclasses import dataclass
@@ -25,12 +26,15 @@ from trackerd.vision.limb import LimbChoice
 from trackerd.vision.locate import locate, refine, search
 from trackerd.vision.look import Look, same_size
 from trackerd.vision.noise import NoiseModel
+from trackerd.vision.others import Place
 from trackerd.vision.rays import REACH_PX, Circle
 from trackerd.vision.tracker import BoxTracker
 
 SAME_RADIUS = 0.15  # an outline whose radius differs by more is another thing, while the target is followed,
 LOST_RADIUS = 0.6  # and after it was lost: it may come back at another range
 GROWTH_PX = 4.0  # of the gate, for each frame missed
+GATE_RADII = 0.25  # from where it is expected: what is farther off is looked at together with all the rest
+FRESH_FRAMES = 3  # an expectation that was confirmed so few frames ago tells the target from a ball that may be another
 WIDEST_REACH = 0.5  # of the radius: the rays must start inside the outline
 SMALL_IMAGE_PX = 1_500_000  # a greater image is searched for an unknown ball in every second frame: 7 ms and more for 3 Mpx
 KEPT_FRAMES = 300  # after a loss: then light, range or target may have changed, and whatever is found is the target
@@ -151,8 +155,10 @@ class Acquisition:
         """The target's outline at a guess; what is found beyond the gate may be a bystander, and is left to the search."""
         found = locate(image, circle, self._noise, expected.reach_px, self._view, self._limb)
         outline = self._judged(found, expected)
-        if isinstance(outline, Found) and expected.distance_px(outline) > expected.circle[2] + expected.reach_px:
-            return Missed("what the tracker follows is not where the target was")
+        if isinstance(outline, Found) and expected.distance_px(outline) > max(
+            expected.reach_px, GATE_RADII * expected.circle[2]
+        ):
+            return Missed("an outline beyond the gate: to be compared with what else is in view")
         return outline
 
     def _judged(self, outline: Outline, expected: Expected) -> Outline:
@@ -169,14 +175,14 @@ class Acquisition:
             return Missed(
                 f"an outline with a grey level of {outline.inside_dn:.0f} is not the target's ({self._look.inside_dn:.0f})"
             )
-        return self._bystanders.judged(outline, expected.circle)
+        return self._bystanders.judged(outline, Place(expected.circle, expected.missed))
 
     def _elsewhere(self, image: Image, expected: Expected, growth: float) -> Outline | None:
         """Whatever looks like the target, anywhere, and is no other ball. None: nothing is round."""
         r = expected.circle[2]
         radius_px = max(self._radius_px[0], r / (1.0 + LOST_RADIUS)), min(self._radius_px[1], r * (1.0 + LOST_RADIUS))
         outlines = everywhere(image, self._noise, radius_px, self._view)
-        strangers = self._bystanders.strangers(outlines, expected.circle)
+        strangers = self._bystanders.strangers(outlines, Place(expected.circle, expected.missed))
         look = self._look
         alike = [s for s in strangers if same_size(s.r_px, r, growth) and (look is None or look.has_levels(s))]
         if not alike:
@@ -188,7 +194,9 @@ class Acquisition:
         nearest_px = expected.distance_px(alike[0])
         if len(alike) > 1 and nearest_px > CLEARLY_NEARER * expected.distance_px(alike[1]):
             return Missed(f"{len(alike)} balls are in view: which one is the target cannot be told")
-        if (self._bystanders.in_doubt and nearest_px > r) or self._bystanders.covers(alike[0], expected.circle):
+        place = Place(expected.circle, expected.missed)
+        in_place = place.has(alike[0]) or (nearest_px <= r and expected.missed <= FRESH_FRAMES)
+        if (self._bystanders.in_doubt and not in_place) or self._bystanders.covers(alike[0], expected.circle):
             return Missed("another ball is in view: which one is the target cannot be told")
         return alike[0]
 

@@ -6,20 +6,24 @@ ball that is close. The frame in which it is first missed brings the rest: the i
 
 from collections.abc import Sequence
 from dataclasses import replace
+from math import hypot
+
+import numpy as np
 
 from trackerd.contract.model import Found, Image, Missed, Outline
 from trackerd.vision.curve import View
-from trackerd.vision.everywhere import everywhere, without
+from trackerd.vision.everywhere import ITSELF_RADII, everywhere
 from trackerd.vision.locate import locate
 from trackerd.vision.noise import NoiseModel
-from trackerd.vision.others import DOUBTED, ITSELF_RADII, Others
-from trackerd.vision.rays import Circle
+from trackerd.vision.others import DOUBTED_NEW, Others, Place
+from trackerd.vision.rays import Circle, edges_on_rays, first_circle
 
 ALIKE = 0.3  # of the target's radius: other balls that are looked for
 MERGED_RADII, MERGED_PX = 0.5, 16.0  # nearer to each other than this, one outline may be either's
 CLOSE_RADII = 4.0  # another ball so close is followed in every frame
 WATCHED_EVERY, WATCHED_EVERY_LARGE = 24, 72  # frames
 WATCHED_EVERY_LOST, LOST_FRAMES = 4, 3  # where one that was close is not where it was expected for so long
+EDGE_PX, HALF_SEEN = 2.0, 0.7  # an edge so near to a circle is on it; so much of what the target leaves of a ball shows edges
 LARGE_IMAGE_PX = 1_000_000
 SMALL_RADIUS_PX = 28.0  # up to this, quarter size is too small to find it
 
@@ -38,8 +42,8 @@ class Bystanders:
 
     @property
     def in_doubt(self) -> bool:
-        """Whether one that is in view may be the target as well."""
-        return any(not other.sure and other.unseen == 0 for other in self._others.known)
+        """Whether one that is followed may be the target as well: then one that is not followed may be the other."""
+        return any(not other.sure for other in self._others.known)
 
     def forget(self) -> None:
         self._others.forget()
@@ -67,6 +71,7 @@ class Bystanders:
             self._look_round(image, circle, (scale,))
         elif self._others.known:
             self._follow_close(image, circle)
+            self._others.drop_outside(image.shape[1], image.shape[0])
         self._others.confirm()
 
     def keep_last_image(self) -> None:
@@ -74,11 +79,11 @@ class Bystanders:
         if self._last is not None and not self._last_is_ours:
             self._last, self._last_is_ours = (self._last[0].copy(), self._last[1]), True
 
-    def judged(self, outline: Found, target: Circle) -> Outline:
+    def judged(self, outline: Found, target: Place) -> Outline:
         """An outline near to where the target is expected: it, unless it may be another ball's."""
         if not self._others.known:
             return outline
-        if self.covers(outline, target):
+        if self.covers(outline, target.circle):
             return Missed("another ball is in the target's place: which one is seen cannot be told")
         if self._others.may_own(outline, target):
             return Missed("another ball is in view: this may be it, and not the target")
@@ -89,32 +94,50 @@ class Bystanders:
         other = self._others.nearest(target[0], target[1])
         return other is not None and other.distance_px(target[0], target[1]) < _merged_px(target) and other.may_be(outline)
 
-    def strangers(self, outlines: Sequence[Found], target: Circle) -> list[Found]:
+    def strangers(self, outlines: Sequence[Found], target: Place) -> list[Found]:
         """Those of all outlines in an image that are no other ball's; the others' places are known anew."""
         if outlines and self._last is not None:
-            self._look_back()
+            self._look_back(outlines)
         return self._others.claim(outlines, target)
 
     def came_in(self, outlines: Sequence[Found]) -> None:
         """Balls that came into view while the target was missed: for some time they are not taken for it."""
-        self._others.add(outlines, doubted=DOUBTED)
+        self._others.add(outlines, doubted=DOUBTED_NEW)
 
-    def _look_back(self) -> None:
+    def _look_back(self, outlines: Sequence[Found]) -> None:
         """Balls that were in view beside the target when it was last seen, brought to where those at rest are now."""
         assert self._last is not None
         (image, circle), (dx, dy), n, self._last = self._last, self._since_last, self._frames_since_last, None
-        before = without(everywhere(image, self._noise, self._alike(circle), self._view), circle, ITSELF_RADII)
+        before = everywhere(image, self._noise, self._alike(circle), self._view, besides=circle)
         then = Others()
         then.known = [replace(o, x_px=o.x_px - dx, y_px=o.y_px - dy, unseen=o.unseen + n) for o in self._others.known]
-        then.add(then.claim(before, circle))
+        then.add(then.claim(before, Place(circle, 0)))
+        moved_back = [replace(found, x_px=found.x_px - dx, y_px=found.y_px - dy) for found in outlines]
+        then.add([found for found in moved_back if self._was_half_hidden(image, found, circle)])
         then.confirm()
         for other in then.known:
             other.x_px, other.y_px, other.unseen = other.x_px + dx, other.y_px + dy, max(other.unseen, n)
         self._others = then
 
+    def _was_half_hidden(self, image: Image, found: Found, target: Circle) -> bool:
+        """Whether a ball was there, partly behind the target or in front of it, and too much so to be found by a fit."""
+        apart_px = hypot(found.x_px - target[0], found.y_px - target[1])
+        if not ITSELF_RADII * target[2] < apart_px < found.r_px + target[2]:
+            return False
+        there = first_circle(image, (found.x_px, found.y_px, found.r_px), self._noise)
+        if there is None or hypot(there[0] - target[0], there[1] - target[1]) < ITSELF_RADII * target[2]:
+            return False
+        edges = edges_on_rays(image, there, self._noise, EDGE_PX)
+        angles = 2.0 * np.pi * (np.arange(len(edges.there)) + 0.5) / len(edges.there)
+        x, y = there[0] + there[2] * np.cos(angles), there[1] + there[2] * np.sin(angles)
+        beside = np.hypot(x - target[0], y - target[1]) > target[2] + EDGE_PX
+        off = np.abs(np.hypot(edges.x_px - there[0], edges.y_px - there[1]) - there[2])
+        on_it = ((off < EDGE_PX) & edges.there).any(axis=1)
+        return bool(on_it[beside].sum() >= HALF_SEEN * max(beside.sum(), 1))
+
     def _look_round(self, image: Image, target: Circle, scales: tuple[int, ...]) -> None:
-        found = without(everywhere(image, self._noise, self._alike(target), self._view, scales), target, ITSELF_RADII)
-        self._others.add(self._others.claim(found, target))
+        found = everywhere(image, self._noise, self._alike(target), self._view, scales, target)
+        self._others.add(self._others.claim(found, Place(target, 0)))
 
     def _follow_close(self, image: Image, target: Circle) -> None:
         x, y, r = target
@@ -122,7 +145,11 @@ class Bystanders:
             away_px = other.distance_px(x, y)
             if _merged_px(target) < away_px < CLOSE_RADII * r:
                 found = locate(image, (other.x_px, other.y_px, other.look.r_px), self._noise, view=self._view)
-                if isinstance(found, Found) and without([found], target, ITSELF_RADII) and other.may_be(found):
+                if (
+                    isinstance(found, Found)
+                    and hypot(found.x_px - x, found.y_px - y) > ITSELF_RADII * r
+                    and other.may_be(found)
+                ):
                     other.seen(found)
 
     def _has_lost_a_close_one(self, target: Circle) -> bool:

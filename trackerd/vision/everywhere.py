@@ -15,19 +15,33 @@ from trackerd.vision.verify import LEAST_COVERAGE_SEARCHED
 
 PROMISING_PX = 2.5  # from the circle; a smeared edge is not sharper than this
 PROMISING_MARGIN = 0.05  # of the outline
+ITSELF_RADII = 0.5  # two outlines so near to each other are one ball's
 SAME_RADII = 0.3  # two outlines nearer than this are one
 
 
 def everywhere(
-    image: Image, noise: NoiseModel, radius_px: tuple[float, float], view: View | None, scales: Sequence[int] = (4, 2)
+    image: Image,
+    noise: NoiseModel,
+    radius_px: tuple[float, float],
+    view: View | None,
+    scales: Sequence[int] = (4, 2),
+    besides: Circle | None = None,
 ) -> list[Found]:
-    """All outlines of an admitted radius, in image coordinates, looked for in the pictures smaller by `scales`."""
+    """All outlines of an admitted radius, in image coordinates, looked for in the pictures smaller by `scales`.
+
+    Not those whose centre is within half a radius of the circle `besides`, which is known.
+    """
     found: list[Found] = []
     tried: list[Circle] = []
+    known = (0.0, 0.0, 0.0) if besides is None else besides
     pyramid = Pyramid.of(image)
     for scale in scales:
         for seed in circles_in(pyramid, radius_px, scale):
-            if _is_one_of(seed[0], seed[1], found) or any(same_seed(seed, other) for other in tried):
+            if (
+                _is_in(seed[0], seed[1], known)
+                or _is_one_of(seed[0], seed[1], found)
+                or any(same_seed(seed, other) for other in tried)
+            ):
                 continue
             tried.append(seed)
             first = first_circle(image, seed, noise)
@@ -37,16 +51,15 @@ def everywhere(
             if (
                 isinstance(outline, Found)
                 and _admitted(outline, radius_px)
+                and not _is_in(outline.x_px, outline.y_px, known)
                 and not _is_one_of(outline.x_px, outline.y_px, found)
             ):
                 found.append(outline)
     return found
 
 
-def without(outlines: Sequence[Found], circle: Circle, radii: float) -> list[Found]:
-    """Those whose centre is farther from a circle's than this many of its radii."""
-    x, y, r = circle
-    return [found for found in outlines if hypot(found.x_px - x, found.y_px - y) > radii * r]
+def _is_in(x_px: float, y_px: float, known: Circle) -> bool:
+    return hypot(x_px - known[0], y_px - known[1]) < ITSELF_RADII * known[2]
 
 
 def _is_promising(image: Image, circle: Circle, noise: NoiseModel) -> bool:

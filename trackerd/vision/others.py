@@ -9,19 +9,20 @@ from dataclasses import dataclass
 from math import hypot
 
 from trackerd.contract.model import Found
+from trackerd.vision.everywhere import ITSELF_RADII
 from trackerd.vision.look import Look, same_size
 from trackerd.vision.rays import Circle
 
 ALIKE = 0.25  # of the radius: an outline that differs by more is not this ball's
 FIRST_RADII, FIRST_PX = 2.0, 40.0  # how far one may have gone in its first frame, when its speed is not known
 KNOWN_RADII, KNOWN_PX = 1.0, 16.0  # and how far from its prediction, when it is
+STEADY_RADII, STEADY_PX = 0.25, 8.0  # and by how much it strays in a frame
 RADII_A_FRAME = 0.5  # more for each frame in which it was not seen
 CARRIED_ON = 20  # frames for which its speed is trusted
 CLEAR_FRAMES = 3  # out of sight for so few, it is where it is expected
-FORGOTTEN = 120  # frames out of sight
-DOUBTED = 100  # frames for which one that may be the target is refused
+FORGOTTEN = 300  # frames out of sight
+DOUBTED, DOUBTED_NEW = 300, 100  # frames for which one that may be the target is refused; one that came in is
 NEWEST = 0.5  # share of the newest speed
-ITSELF_RADII = 0.5  # two outlines so near to each other are one ball's
 TARGETS_SHARE = 0.5  # an outline so much nearer to the target's place than to another ball's is the target's, up to
 TARGETS_RADII, TARGETS_RADII_DOUBTED = 1.0, 0.3  # so many of its radii, and where that other was out of sight
 
@@ -53,7 +54,11 @@ class Other:
         return hypot(x_px - self.x_px, y_px - self.y_px)
 
     def is_expected_at(self, found: Found) -> bool:
-        near_px = self.reach_px if self.unseen <= CLEAR_FRAMES else self._near_px
+        """Whether an outline is where it went on to, and not only where it could be: one in steady motion does not leap."""
+        if self.speed_px is None:
+            near_px = self._near_px
+        else:
+            near_px = (STEADY_RADII * self.look.r_px + STEADY_PX) * min(max(self.unseen, 1), CLEAR_FRAMES)
         return self.distance_px(found.x_px, found.y_px) <= near_px
 
     def may_be(self, found: Found) -> bool:
@@ -85,6 +90,25 @@ class Other:
         self.look = self.look.with_newer(found)
 
 
+@dataclass(frozen=True, slots=True)
+class Place:
+    """Where the target is expected, and how long it was not seen."""
+
+    circle: Circle
+    missed: int
+
+    @property
+    def reach_px(self) -> float:
+        return self.circle[2] * (1.0 + RADII_A_FRAME * self.missed)
+
+    def distance_px(self, found: Found) -> float:
+        return hypot(found.x_px - self.circle[0], found.y_px - self.circle[1])
+
+    def has(self, found: Found) -> bool:
+        """Whether an outline is where the target is expected, so well that it is no chance."""
+        return self.distance_px(found) <= TARGETS_RADII_DOUBTED * self.circle[2]
+
+
 class Others:
     """All of them, in the images of one camera."""
 
@@ -99,14 +123,22 @@ class Others:
             other.go_on(moved_px)
         self.known = [other for other in self.known if other.unseen <= FORGOTTEN and other.doubted != 0]
 
+    def drop_outside(self, width: int, height: int) -> None:
+        """Those that have left the image: what comes in is looked at as such."""
+        self.known = [
+            o
+            for o in self.known
+            if o.unseen == 0 or (-o.look.r_px < o.x_px < width + o.look.r_px and -o.look.r_px < o.y_px < height + o.look.r_px)
+        ]
+
     def nearest(self, x_px: float, y_px: float) -> Other | None:
         return min(self.known, key=lambda other: other.distance_px(x_px, y_px), default=None)
 
-    def may_own(self, found: Found, target: Circle) -> bool:
+    def may_own(self, found: Found, target: Place) -> bool:
         """Whether an outline may be one of theirs rather than the target's, which is expected there."""
         return any(_may_claim(other, found, target) for other in self.known)
 
-    def claim(self, outlines: Sequence[Found], target: Circle) -> list[Found]:
+    def claim(self, outlines: Sequence[Found], target: Place) -> list[Found]:
         """Each that was not yet seen in this frame takes the outline nearest to it; what none could be is given back."""
         pairs = sorted(
             (other.distance_px(found.x_px, found.y_px), o, f)
@@ -120,10 +152,14 @@ class Others:
                 owner[f] = o
         nearest = {o: min(px for px, other, _ in pairs if other == o) for o in owner.values()}
         contested = {o for px, o, f in pairs if f not in owner and px < 2.0 * nearest[o] + self.known[o].look.r_px}
+        in_place = any(target.has(found) for f, found in enumerate(outlines) if f not in owner)
         for f, o in owner.items():
-            if not self.known[o].is_expected_at(outlines[f]) or (self.known[o].unseen > CLEAR_FRAMES and o in contested):
-                self.known[o].doubt()
-            self.known[o].seen(outlines[f])
+            other, outline = self.known[o], outlines[f]
+            elsewhere = in_place or target.distance_px(outline) > target.reach_px  # the target is not there
+            clear = other.unseen <= CLEAR_FRAMES or (o not in contested and elsewhere)
+            if not (clear and other.is_expected_at(outline)):
+                other.doubt()
+            other.seen(outline)
         self._drop_ghosts()
         return [found for f, found in enumerate(outlines) if f not in owner]
 
@@ -149,10 +185,11 @@ class Others:
                 self.known.append(Other(Look.of(found), found.x_px, found.y_px, unseen=unseen, doubted=doubted))
 
 
-def _may_claim(other: Other, found: Found, target: Circle) -> bool:
+def _may_claim(other: Other, found: Found, target: Place) -> bool:
     """Whether an outline may be this one's: it is in its reach, and not in the target's very place."""
-    x, y, r = target
-    from_target_px = hypot(found.x_px - x, found.y_px - y)
+    from_target_px = target.distance_px(found)
     radii = TARGETS_RADII if other.unseen <= CLEAR_FRAMES else TARGETS_RADII_DOUBTED
-    targets = from_target_px <= radii * r and from_target_px < TARGETS_SHARE * other.distance_px(found.x_px, found.y_px)
+    targets = from_target_px <= radii * target.circle[2] and from_target_px < TARGETS_SHARE * other.distance_px(
+        found.x_px, found.y_px
+    )
     return not targets and other.may_be(found)
