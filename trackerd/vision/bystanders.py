@@ -21,7 +21,7 @@ from trackerd.vision.rays import Circle, edges_on_rays, first_circle
 ALIKE = 0.3  # of the target's radius: other balls that are looked for
 MERGED_RADII, MERGED_PX = 0.5, 16.0  # nearer to each other than this, one outline may be either's
 CLOSE_RADII = 4.0  # another ball so close is followed in every frame
-WATCHED_EVERY, WATCHED_EVERY_LARGE = 24, 72  # frames
+WATCHED_EVERY, WATCHED_EVERY_LARGE = 40, 120  # frames
 WATCHED_EVERY_LOST, LOST_FRAMES = 4, 3  # where one that was close is not where it was expected for so long
 EDGE_PX, HALF_SEEN = 2.0, 0.7  # an edge so near to a circle is on it; so much of what the target leaves of a ball shows edges
 LARGE_IMAGE_PX = 1_000_000
