@@ -33,6 +33,9 @@ _EDGE, _BELL = (np.ascontiguousarray(column) for column in PROFILE.T)
 _EDGE_RISE, _BELL_RISE = np.diff(_EDGE), np.diff(_BELL)
 
 
+Ties = list[tuple[float, Array]]
+
+
 @dataclass(slots=True)
 class _Shape:
     """The shared unknowns; x and y from the ring's whole-numbered centre."""
@@ -42,6 +45,7 @@ class _Shape:
     r: float
     blur_px2: Array  # as in Start
     limb_dn: Array
+    ground_dn: Array  # (2,): gradient of the level outside, over one radius
     lamp: bool  # whether the limb's unknowns are a lamp's; else the harmonics of its strength
 
     def limb_at(self, pixels: Ring) -> tuple[Array, Array]:
@@ -81,7 +85,13 @@ def converge(image: Image, pixels: Ring, curve: Curve, start: Start, noise: Nois
     """The best fit near a start. None: it ran away, or the image does not determine a circle."""
     column, row = round(start.x_px), round(start.y_px)
     shape = _Shape(
-        start.x_px - column, start.y_px - row, start.r_px, np.array(start.blur_px2), np.array(start.limb_dn), any(start.limb_dn)
+        start.x_px - column,
+        start.y_px - row,
+        start.r_px,
+        np.array(start.blur_px2),
+        np.array(start.limb_dn),
+        np.zeros(2),
+        any(start.limb_dn),
     )
     gathered = gather(image, pixels, column, row)
     weight = gathered.weight if curve.round else gathered.weight * _near(pixels, curve, shape)
@@ -101,7 +111,7 @@ def converge(image: Image, pixels: Ring, curve: Curve, start: Start, noise: Nois
         shape.limb_dn,
         float(shape.sigma_px(pixels).max()),
         step.covariance[:3, :3],
-        step.covariance[blurs:-2, blurs:-2],
+        step.covariance[blurs:-6, blurs:-6],
         sectors,
         step.weight,
         float(np.median(sectors.chi2)),
@@ -118,11 +128,11 @@ def _iterate(seen: _Seen, shape: _Shape) -> tuple[_Step, Sectors, bool] | None:
     steps = int(RULES.steps)
     for n in range(steps):
         normal, levels = _normal_matrices(seen, shape, levels)
-        if n > 0:
-            _tie(normal, levels, _ambient_spread_dn(shape))
+        ties = [] if n == 0 else _tie(normal, levels, seen.pixels.middle, _ambient_spread_dn(shape))
+        shape.ground_dn = ties[0][1] if ties else shape.ground_dn
         reduced, levels, coupling = _eliminate_levels(normal, levels, seen.saturated_dn)
         sectors = _sectors(reduced, levels, seen)
-        step = _robust_step(reduced, sectors, seen, shape)
+        step = _robust_step(reduced, sectors, seen, shape, ties)
         if step is None:
             return None
         if seen.clipped:  # where levels are found beyond saturation they hang on the blur: they take the step with it
@@ -130,9 +140,11 @@ def _iterate(seen: _Seen, shape: _Shape) -> tuple[_Step, Sectors, bool] | None:
         _move(shape, step.delta)
         if not abs(shape.x - x) + abs(shape.y - y) + abs(shape.r - r) <= RULES.farthest_px:  # a NaN is no place either
             return None
-        settled = float(np.abs(step.delta[:3]).max()) < RULES.settled_px * (
-            RULES.lamp_settled if shape.lamp else 1.0
-        ) and _blur_settled(shape, step.delta)
+        settled = (
+            n >= RULES.least_steps
+            and float(np.abs(step.delta[:3]).max()) < RULES.settled_px * (RULES.lamp_settled if shape.lamp else 1.0)
+            and _blur_settled(shape, step.delta)
+        )
         if len(shape.limb_dn) > 0 and not shape.lamp:
             if settled or n >= RULES.harmonic_steps:
                 shape.limb_dn, shape.lamp = _lamp_of(levels, shape.limb_dn, step.weight, seen.pixels), True
@@ -158,7 +170,7 @@ def _ambient_spread_dn(shape: _Shape) -> float | None:
     return RULES.ambient_spread_dn + RULES.ambient_spread * lamp_dn if shape.lamp else None
 
 
-def _tie(normal: Array, levels: Array, ambient_spread_dn: float | None) -> None:
+def _tie(normal: Array, levels: Array, middle: Array, ambient_spread_dn: float | None) -> Ties:
     """Ties the levels outside, and those inside, to what the sectors have in common: as firmly as they are found to agree.
 
     Free levels cost a sixth of the precision; equal ones assumed would bias the centre by any gradient of the light. So the
@@ -170,33 +182,58 @@ def _tie(normal: Array, levels: Array, ambient_spread_dn: float | None) -> None:
     det = np.where(seeing, det, 1.0)
     base = levels[:, 0] + (d * normal[:, 0, -1] - b * normal[:, 1, -1]) / det
     inside = base + levels[:, 1] + (a * normal[:, 1, -1] - b * normal[:, 0, -1]) / det
-    firm_base = _firmness(base, d / det, seeing, None)
-    firm_inside = _firmness(inside, (a - 2.0 * b + d) / det, seeing, ambient_spread_dn)
-    for towards, common, value, (weight, centre) in (
-        ((1.0, 0.0), -3, levels[:, 0], firm_base),
-        ((1.0, 1.0), -2, levels.sum(axis=1), firm_inside),
-    ):
-        slope = np.zeros(normal.shape[1])
-        slope[:2], slope[common] = towards, -1.0
-        row = np.broadcast_to(slope, (len(value), len(slope))).copy()
-        row[:, -1] = centre - value
-        normal += weight[:, None, None] * row[:, :, None] * row[:, None, :]
+    return [
+        _tie_end(normal, base, d / det, seeing, levels[:, 0], (1.0, 0.0), -3, middle, None),
+        _tie_end(
+            normal, inside, (a - 2.0 * b + d) / det, seeing, levels.sum(axis=1), (1.0, 1.0), -2, middle, ambient_spread_dn
+        ),
+    ]
 
 
-def _firmness(value: Array, variance: Array, seeing: npt.NDArray[np.bool_], spread_dn: float | None) -> tuple[Array, float]:
-    """1 / variance of the levels about their centre, (S,), and the centre."""
+def _tie_end(
+    normal: Array,
+    value: Array,
+    variance: Array,
+    seeing: npt.NDArray[np.bool_],
+    taken_at: Array,
+    towards: tuple[float, float],
+    common: int,
+    middle: Array,
+    spread_dn: float | None,
+) -> tuple[float, Array]:
+    """One of the two; 1 / variance of the gradient that the sectors show, and that gradient."""
     if not seeing.any():
-        return np.zeros(len(value)), 0.0
-    centre = float(np.median(value[seeing]))
-    own = float(np.median(variance[seeing]))
-    deviation = np.abs(value - centre)
+        return 0.0, np.zeros(2)
+    centre = np.full(len(value), np.median(value[seeing]))
     if spread_dn is None:
-        found = (1.4826 * float(np.median(deviation[seeing]))) ** 2
-        spread2 = max(found - own, 0.0) + RULES.least_spread_dn**2
-        near = deviation < RULES.stands_out * np.sqrt(spread2 + variance)
+        weight, firmness, common_part = _firmness(value - centre, variance, seeing, middle)
+        centre += common_part[0] + middle @ common_part[1:]
+        gradient = common_part[1:]
     else:
-        spread2, near = spread_dn**2, np.ones(len(value), bool)
-    return np.asarray((near & seeing) / spread2), centre
+        weight, firmness, gradient = seeing / spread_dn**2, RULES.firmest, np.zeros(2)
+    row = np.zeros(normal.shape[:2])
+    row[:, :2], row[:, common], row[:, -1] = towards, -1.0, centre - taken_at
+    normal += weight[:, None, None] * row[:, :, None] * row[:, None, :]
+    return firmness, gradient
+
+
+def _firmness(deviation: Array, variance: Array, seeing: npt.NDArray[np.bool_], middle: Array) -> tuple[Array, float, Array]:
+    """1 / variance of the levels about their common gradient, (S,), and of that gradient; mean and gradient."""
+    own = float(np.median(variance[seeing]))
+    size = np.abs(deviation)
+    wide = RULES.stands_out * (1.4826 * float(np.median(size[seeing])) + np.sqrt(variance))
+    share = (seeing & (size < wide)) / variance
+    design = np.column_stack((np.ones(len(middle)), middle))
+    covariance = np.linalg.inv((design * share[:, None]).T @ design + 1e-9 * np.eye(3))
+    gradient = covariance @ (design.T @ (share * deviation))
+    noise = 0.5 * (covariance[1, 1] + covariance[2, 2])
+    strength = 0.5 * float(gradient[1] ** 2 + gradient[2] ** 2)
+    firmness = 1.0 / (max(strength - RULES.gradient_noise * noise, 0.0) + 1.0 / RULES.firmest)
+    rest = np.abs(deviation - design @ gradient)
+    found = (1.4826 * float(np.median(rest[seeing]))) ** 2
+    spread2 = max(found - own, 0.0) + RULES.least_spread_dn**2
+    near = seeing & (rest < RULES.stands_out * np.sqrt(spread2 + variance))
+    return np.asarray(near / spread2), firmness, gradient
 
 
 def _blur_settled(shape: _Shape, delta: Array) -> bool:
@@ -244,13 +281,15 @@ def _normal_matrices(seen: _Seen, shape: _Shape, levels: Array | None) -> tuple[
     limb = len(shape.limb_dn) > 0
     columns = np.empty((len(edge), 7 if limb else 5, edge.shape[1]))
     light = _limb(columns, distance, scaled + bend, sigma, seen, shape) if limb else None
+    slope = (seen.pixels.middle @ shape.ground_dn)[:, None] / shape.r
+    ground = slope * (distance * (1.0 - edge) + sigma * bell)  # outside, the ground goes on as it does round the ball
     if levels is None:
         levels = _plain_levels(seen.level if light is None else seen.level - light.level, seen.weight, edge)
     base, contrast = levels[:, 0, None], levels[:, 1, None]
-    model = base + contrast * edge
+    model = base + contrast * edge + ground
     columns[:, 0] = 1.0
     columns[:, 1] = edge
-    columns[:, 2] = (contrast / sigma) * bell
+    columns[:, 2] = (contrast / sigma) * bell - slope * (1.0 - edge)
     if light is not None:
         model += light.level
         columns[:, 2] += light.slope
@@ -378,7 +417,7 @@ def _sectors(reduced: Array, levels: Array, seen: _Seen) -> Sectors:
     return Sectors(contrast, levels[:, 0] + 0.5 * contrast, offset, information, chi2)
 
 
-def _robust_step(reduced: Array, sectors: Sectors, seen: _Seen, shape: _Shape) -> _Step | None:
+def _robust_step(reduced: Array, sectors: Sectors, seen: _Seen, shape: _Shape, ties: Ties) -> _Step | None:
     """None: too few sectors know where their edge is."""
     normalised = sectors.offset_px * np.sqrt(sectors.information)
     telling = sectors.information > 1.0  # knows its edge to 1 px
@@ -390,7 +429,15 @@ def _robust_step(reduced: Array, sectors: Sectors, seen: _Seen, shape: _Shape) -
     free = len(shape.blur_px2) > 1 or len(shape.limb_dn) > 0
     poor = RULES.poor_chi2 * max(1.0, float(ordered[3 * len(ordered) // 4]) if free else 1.0)
     weight = np.maximum(1.0 - (normalised * (1.0 / (RULES.tukey * scale))) ** 2, 0.0) ** 2
-    weight *= np.minimum(1.0, poor / np.maximum(sectors.chi2, 1e-6)) ** 2 * telling
+    fair = np.minimum(1.0, poor / np.maximum(sectors.chi2, 1e-6)) ** 2
+    for n in range(1, int(RULES.doubtful_sectors) + 1):
+        fair = (
+            np.minimum(fair, np.minimum(np.roll(fair0, n), np.roll(fair0, -n)))
+            if n > 1
+            else np.minimum(fair, np.minimum(np.roll(fair, 1), np.roll(fair, -1)))
+        )
+        fair0 = np.minimum(1.0, poor / np.maximum(sectors.chi2, 1e-6)) ** 2
+    weight *= fair * telling
     towards = _towards(seen, shape)
     k = towards.shape[1]
     weighted = towards.transpose(0, 2, 1) * weight[:, None, None]
@@ -399,19 +446,24 @@ def _robust_step(reduced: Array, sectors: Sectors, seen: _Seen, shape: _Shape) -
     residual = reduced[:, :k, -1].copy()
     residual[:, 0] = sectors.information * sectors.offset_px
     right = (weighted @ residual[:, :, None]).sum(axis=0)[:, 0]
+    for first, (firmness, gradient) in zip((-5, -2), ties, strict=False):
+        for n in range(2):
+            hessian[first + n, first + n] += firmness
+            right[first + n] -= firmness * gradient[n]
     inverse = np.linalg.inv(hessian)
     return _Step(np.asarray(inverse @ right, np.float64), inverse, weight, towards)
 
 
 def _towards(seen: _Seen, shape: _Shape) -> Array:
     blurs, limbs = len(shape.blur_px2), len(shape.limb_dn)
-    towards = np.zeros((len(seen.curve.design), 6 if limbs else 4, 5 + blurs + limbs))
+    towards = np.zeros((len(seen.curve.design), 6 if limbs else 4, 9 + blurs + limbs))
     towards[:, 0, :3] = seen.curve.design
     towards[:, 1, 3 : 3 + blurs] = seen.pixels.blur_design[:, :blurs] * (0.5 / shape.sigma_px(seen.pixels))[:, None]
     if limbs:
         towards[:, 2 if shape.lamp else 3, 3 + blurs : 5 + blurs] = seen.pixels.middle
         towards[:, 3, 5 + blurs] = 1.0
-    towards[:, -2, -2] = towards[:, -1, -1] = 1.0
+    towards[:, -2, -6] = towards[:, -1, -3] = 1.0
+    towards[:, -2, -5:-3] = towards[:, -1, -2:] = seen.pixels.middle
     return towards
 
 
@@ -424,4 +476,4 @@ def _move(shape: _Shape, delta: Array) -> None:
     blur = shape.blur_px2 + np.minimum(np.maximum(delta[3 : 3 + blurs], -most), most)
     blur[0] = min(max(blur[0], RULES.least_px2), RULES.most_px2)
     shape.blur_px2 = blur
-    shape.limb_dn = shape.limb_dn + delta[3 + blurs : -2]
+    shape.limb_dn = shape.limb_dn + delta[3 + blurs : -6]

@@ -22,6 +22,7 @@ class Rules(NamedTuple):
     """Of the iteration. An argument of the compiled kernel: what it took from another file would be stale in its cache."""
 
     steps: float = 40.0
+    least_steps: float = 2.0  # the second knows what the sectors' levels have in common, the third the ground's slope
     farthest_px: float = 6.0  # from the start, in x, y and r together
     settled_px: float = 0.01  # each step is a tenth of the one before or less: the rest is far below the noise
     blur_settled: float = 0.05  # of its variance, where it depends on the direction
@@ -29,9 +30,12 @@ class Rules(NamedTuple):
     most_px2: float = SIGMA_RANGE_PX[1] ** 2
     blind: float = 1e-4  # of its diagonal: a sector cut off by the image's border does not see both levels
     tukey: float = 4.685  # 95 % efficient for normal errors
+    doubtful_sectors: float = 1.0  # next to one that fits badly
     least_spread_dn: float = 0.1  # of the levels from sector to sector
+    gradient_noise: float = 1.5  # of their common gradient: what of its square is put down to noise, in units of that
+    firmest: float = 1e4  # DN^-2
     stands_out: float = 3.0  # a level farther from the others, in sigmas, is its own
-    poor_chi2: float = 3.0  # a sector that fits worse than this is played down
+    poor_chi2: float = 1.4  # a sector that fits worse than this is played down
     farthest_below: float = 6.0  # sigmas: a saturated pixel whose model is farther below is no surer for that
     harmonic_steps: float = 5.0  # with a limb of three harmonics, before a lamp is sought that gives it
     lamp_settled: float = 0.1  # of settled_px: it creeps where the light only grazes the rim

@@ -19,6 +19,8 @@ POOR_CHI2 = 12.0  # a sector that looks like no edge at all
 
 SIGNIFICANT = 2.0  # sigmas by which the sectors' scatter must exceed the noise before the covariance grows
 STRUCTURED_CHI2 = 1.06  # half of the sectors worse than this: something else than noise is in the picture
+KEPT_BY_TUKEY = 0.74  # of the square of a normal deviate, by its own weight; that weight's square taken out
+ODD_WEIGHT, ODD_SHARE = 0.3, 0.1  # sectors that know their edge and are not believed: something lies across the outline
 NEIGHBOURS = 3  # sectors over which it may go on
 
 
@@ -58,9 +60,11 @@ def scatter(fit: CircleFit) -> tuple[float, str]:
     count too (Newey and West 1987).
     """
     u = np.sqrt(fit.sectors.information) * fit.weight * (fit.sectors.offset_px - _even(fit))
-    expected = float(fit.weight @ fit.weight) * max(1.0 - 4.0 / max(float(fit.weight.sum()), 5.0), 0.2)
+    expected = KEPT_BY_TUKEY * float(fit.weight @ fit.weight) * max(1.0 - 4.0 / max(float(fit.weight.sum()), 5.0), 0.2)
     ratio = float(u @ u) / expected
-    structured = fit.chi2 > STRUCTURED_CHI2
+    telling = fit.sectors.information > 1.0
+    odd = np.count_nonzero(telling & (fit.weight < ODD_WEIGHT)) / len(u)
+    structured = fit.chi2 > STRUCTURED_CHI2 or odd > ODD_SHARE
     if structured:
         ratio += (
             2.0 * sum((1.0 - n / (NEIGHBOURS + 1.0)) * float(u @ np.roll(u, n)) for n in range(1, NEIGHBOURS + 1)) / expected
