@@ -17,6 +17,9 @@ NEAR_PX, NEAR_SIGMA = 0.35, 4.0  # an edge this near to the circle is on it
 POOR_CHI2 = 12.0  # a sector that looks like no edge at all
 
 
+CORNERS = (3, 4, 5, 6)
+CORNER_SIGMAS, LEAST_CORNER_PX, LEAST_SMEARED_CORNER_PX = 4.0, 0.1, 0.25
+FAR_PX = 1.9  # an edge at the end of its range says nothing of corners
 SIGNIFICANT = 2.0  # sigmas by which the sectors' scatter must exceed the noise before the covariance grows
 STRUCTURED_CHI2 = 1.06  # half of the sectors worse than this: something else than noise is in the picture
 KEPT_BY_TUKEY = 0.74  # of the square of a normal deviate, by its own weight; that weight's square taken out
@@ -31,6 +34,9 @@ def verified(fit: CircleFit, noise: NoiseModel, least_coverage: float) -> Outlin
     coverage = np.count_nonzero(good) / len(fit.weight)
     if coverage < least_coverage:
         return Missed(f"only {100 * coverage:.0f} % of the outline carry an edge ({100 * least_coverage:.0f} % needed)")
+    corner = corners(fit)
+    if corner is not None:
+        return Missed(corner)
     if not all(0.0 < variance < inf for variance in fit.cov_px2.diagonal().tolist()):
         return Missed("the outline does not determine a circle")
     weight = float(fit.weight.sum())
@@ -50,6 +56,27 @@ def verified(fit: CircleFit, noise: NoiseModel, least_coverage: float) -> Outlin
         outside_dn=middle - 0.5 * contrast,
         inflated=why,
     )
+
+
+def corners(fit: CircleFit) -> str | None:
+    """Why the outline is no circle, where its sectors' edges swing round it as a polygon's do; None: they do not.
+
+    Each edge may be within its own noise, as those of a weak square are; together they are not.
+    """
+    middle = angles(len(fit.weight))
+    weight = fit.sectors.information * np.where(np.abs(fit.sectors.offset_px) < FAR_PX, 1.0, 0.0)
+    least_px = LEAST_CORNER_PX if len(fit.blur_px2) == 1 else LEAST_SMEARED_CORNER_PX
+    orders = [1, 2, *CORNERS]
+    design = np.column_stack([np.ones(len(middle)), *(f(n * middle) for n in orders for f in (np.cos, np.sin))])
+    normal = (design * weight[:, None]).T @ design + 1e-9 * np.eye(design.shape[1])
+    inverse = np.linalg.inv(normal)
+    amplitude = inverse @ (design.T @ (weight * fit.sectors.offset_px))
+    for k, n in enumerate(CORNERS):
+        pair = amplitude[5 + 2 * k : 7 + 2 * k]
+        size, noise = float(np.hypot(*pair)), float(np.sqrt(inverse[5 + 2 * k, 5 + 2 * k] * max(fit.chi2, 1.0)))
+        if size > max(least_px, CORNER_SIGMAS * noise):
+            return f"the outline has {n} corners of {size:.2f} px: it is no ball's"
+    return None
 
 
 def scatter(fit: CircleFit) -> tuple[float, str]:
