@@ -183,9 +183,17 @@ def _tie(normal: Array, levels: Array, middle: Array, ambient_spread_dn: float |
     base = levels[:, 0] + (d * normal[:, 0, -1] - b * normal[:, 1, -1]) / det
     inside = base + levels[:, 1] + (a * normal[:, 1, -1] - b * normal[:, 0, -1]) / det
     return [
-        _tie_end(normal, base, d / det, seeing, levels[:, 0], (1.0, 0.0), -3, middle, None),
+        _tie_end(normal, base, np.where(seeing, d / det, 1.0), seeing, levels[:, 0], (1.0, 0.0), -3, middle, None),
         _tie_end(
-            normal, inside, (a - 2.0 * b + d) / det, seeing, levels.sum(axis=1), (1.0, 1.0), -2, middle, ambient_spread_dn
+            normal,
+            inside,
+            np.where(seeing, np.maximum((a - 2.0 * b + d) / det, 1e-12), 1.0),
+            seeing,
+            levels.sum(axis=1),
+            (1.0, 1.0),
+            -2,
+            middle,
+            ambient_spread_dn,
         ),
     ]
 

@@ -3,11 +3,14 @@
 from math import inf, sqrt
 
 import numpy as np
+import numpy.typing as npt
 
 from trackerd.contract.model import Array, Found, Missed, Outline
 from trackerd.vision.convergence import CircleFit, Sectors
 from trackerd.vision.curve import angles
 from trackerd.vision.noise import NoiseModel
+
+Flags = npt.NDArray[np.bool_]  # (S,)
 
 LEAST_COVERAGE = 0.50  # of the outline, where a guess led here
 LEAST_COVERAGE_SEARCHED = 0.55  # where anything round was tried
@@ -18,8 +21,10 @@ POOR_CHI2 = 12.0  # a sector that looks like no edge at all
 
 
 CORNERS = (3, 4, 5, 6)
-CORNER_SIGMAS, LEAST_CORNER_PX, LEAST_SMEARED_CORNER_PX = 4.0, 0.1, 0.25
-FAR_PX = 1.9  # an edge at the end of its range says nothing of corners
+SURE_PX = 0.1  # no edge counts as surer than this: a corner is larger, what a spot does to a few sectors is not
+AMPLITUDE_SIGMAS, LEAST_AMPLITUDE_PX, LEAST_SMEARED_PX = 4.0, 0.1, 0.25
+WIDE_GAP, BESIDE = 0.12, 3  # share of the outline; sectors
+CORNER_SIGMAS, LEAST_CORNER_PX = 1.7, 0.08  # typical distance of the edges from the circle
 SIGNIFICANT = 2.0  # sigmas by which the sectors' scatter must exceed the noise before the covariance grows
 STRUCTURED_CHI2 = 1.06  # half of the sectors worse than this: something else than noise is in the picture
 KEPT_BY_TUKEY = 0.74  # of the square of a normal deviate, by its own weight; that weight's square taken out
@@ -31,10 +36,10 @@ def verified(fit: CircleFit, noise: NoiseModel, least_coverage: float) -> Outlin
     if not fit.settled:
         return Missed("the circle fit did not settle")
     good = edge_sectors(fit.sectors, noise)
-    coverage = np.count_nonzero(good) / len(fit.weight)
+    coverage = float(np.count_nonzero(good) / len(fit.weight))
     if coverage < least_coverage:
         return Missed(f"only {100 * coverage:.0f} % of the outline carry an edge ({100 * least_coverage:.0f} % needed)")
-    corner = corners(fit)
+    corner = corners(fit, good)
     if corner is not None:
         return Missed(corner)
     if not all(0.0 < variance < inf for variance in fit.cov_px2.diagonal().tolist()):
@@ -58,25 +63,46 @@ def verified(fit: CircleFit, noise: NoiseModel, least_coverage: float) -> Outlin
     )
 
 
-def corners(fit: CircleFit) -> str | None:
-    """Why the outline is no circle, where its sectors' edges swing round it as a polygon's do; None: they do not.
+def corners(fit: CircleFit, good: Flags) -> str | None:
+    """Why the outline is no circle, where its sectors' edges lie about it as a polygon's do; None: they do not.
 
     Each edge may be within its own noise, as those of a weak square are; together they are not.
     """
-    middle = angles(len(fit.weight))
-    weight = fit.sectors.information * np.where(np.abs(fit.sectors.offset_px) < FAR_PX, 1.0, 0.0)
-    least_px = LEAST_CORNER_PX if len(fit.blur_px2) == 1 else LEAST_SMEARED_CORNER_PX
+    away = np.abs(fit.sectors.offset_px - _even(fit))[good]
+    scatter_px = 1.4826 * float(np.median(away))
+    sigmas = 1.4826 * float(np.median(away * np.sqrt(fit.sectors.information[good])))
+    if sigmas > CORNER_SIGMAS and scatter_px > LEAST_CORNER_PX:
+        return f"the edges are {scatter_px:.2f} px off any circle, {sigmas:.1f} times their noise"
+    return _polygon(fit, good)
+
+
+def _polygon(fit: CircleFit, good: Flags) -> str | None:
+    """Corners by the harmonics of the sectors' edges; not those beside a wide gap, where something lies across."""
+    middle = angles(len(good))
+    weight = np.minimum(fit.sectors.information, SURE_PX**-2) * _inland(good)
     orders = [1, 2, *CORNERS]
     design = np.column_stack([np.ones(len(middle)), *(f(n * middle) for n in orders for f in (np.cos, np.sin))])
-    normal = (design * weight[:, None]).T @ design + 1e-9 * np.eye(design.shape[1])
-    inverse = np.linalg.inv(normal)
+    inverse = np.linalg.inv((design * weight[:, None]).T @ design + 1e-9 * np.eye(design.shape[1]))
     amplitude = inverse @ (design.T @ (weight * fit.sectors.offset_px))
-    for k, n in enumerate(CORNERS):
-        pair = amplitude[5 + 2 * k : 7 + 2 * k]
-        size, noise = float(np.hypot(*pair)), float(np.sqrt(inverse[5 + 2 * k, 5 + 2 * k] * max(fit.chi2, 1.0)))
-        if size > max(least_px, CORNER_SIGMAS * noise):
+    least_px = LEAST_AMPLITUDE_PX if len(fit.blur_px2) == 1 else LEAST_SMEARED_PX
+    for k, n in enumerate(CORNERS, start=2):
+        cosine, sine = 1 + 2 * k, 2 + 2 * k
+        size = float(np.hypot(amplitude[cosine], amplitude[sine]))
+        noise = sqrt(0.5 * float(inverse[cosine, cosine] + inverse[sine, sine]) * max(fit.chi2, 1.0))
+        if size > max(least_px, AMPLITUDE_SIGMAS * noise):
             return f"the outline has {n} corners of {size:.2f} px: it is no ball's"
     return None
+
+
+def _inland(good: Flags) -> Flags:
+    """The sectors that are not beside a wide gap."""
+    wide, kept = round(WIDE_GAP * len(good)), good.copy()
+    gap = ~good
+    for n in range(1, wide):
+        gap = gap & np.roll(~good, -n)  # begins a gap at least as wide
+    for start in np.flatnonzero(gap):
+        kept[np.arange(start - BESIDE, start + wide + BESIDE) % len(good)] = False
+    return kept
 
 
 def scatter(fit: CircleFit) -> tuple[float, str]:
@@ -113,11 +139,11 @@ def _even(fit: CircleFit) -> Array:
     return np.asarray(design @ amplitude)
 
 
-def edge_sectors(sectors: Sectors, noise: NoiseModel) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
+def edge_sectors(sectors: Sectors, noise: NoiseModel) -> Flags:
     """The sectors (S,) that speak for the circle."""
     sigma_dn = np.sqrt(np.maximum(sectors.level_dn, 0.0) / noise.gain_e_per_dn + noise.floor_dn2)
     sigma_px = 1.0 / np.sqrt(sectors.information)
     strong = np.abs(sectors.contrast_dn) > LEAST_CONTRAST * sigma_dn
     near = np.abs(sectors.offset_px) < np.maximum(NEAR_PX, NEAR_SIGMA * sigma_px)
-    good: np.ndarray[tuple[int], np.dtype[np.bool_]] = strong & (sigma_px < WORST_EDGE_PX) & near & (sectors.chi2 < POOR_CHI2)
+    good: Flags = strong & (sigma_px < WORST_EDGE_PX) & near & (sectors.chi2 < POOR_CHI2)
     return good
