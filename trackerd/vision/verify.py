@@ -16,13 +16,14 @@ LEAST_COVERAGE = 0.50  # of the outline, where a guess led here
 LEAST_COVERAGE_SEARCHED = 0.55  # where anything round was tried
 LEAST_CONTRAST = 2.0  # in units of one pixel's noise: 3 grey levels at 39 e- a level
 WORST_EDGE_PX = 0.5  # sigma of a sector's edge
-NEAR_PX, NEAR_SIGMA = 0.35, 4.0  # an edge this near to the circle is on it
+NEAR_PX, NEAR_SIGMA, FARTHEST_PX = 0.35, 4.0, 0.8  # an edge this near to the circle is on it, a weak one too
+SHARPEST_PX = 0.32  # a pixel alone blurs by 0.29 px, and every lens by more than 0.14
 POOR_CHI2 = 12.0  # a sector that looks like no edge at all
 
 
 CORNERS = (3, 4, 5, 6)
 SURE_PX = 0.1  # no edge counts as surer than this: a corner is larger, what a spot does to a few sectors is not
-AMPLITUDE_SIGMAS, LEAST_AMPLITUDE_PX, LEAST_SMEARED_PX = 4.0, 0.1, 0.25
+AMPLITUDE_SIGMAS, LEAST_AMPLITUDE_PX, LEAST_SMEARED_PX = 4.5, 0.1, 0.25
 WIDE_GAP, BESIDE = 0.12, 3  # share of the outline; sectors
 CORNER_SIGMAS, LEAST_CORNER_PX = 1.7, 0.08  # typical distance of the edges from the circle
 SIGNIFICANT = 2.0  # sigmas by which the sectors' scatter must exceed the noise before the covariance grows
@@ -35,11 +36,13 @@ NEIGHBOURS = 3  # sectors over which it may go on
 def verified(fit: CircleFit, noise: NoiseModel, least_coverage: float) -> Outline:
     if not fit.settled:
         return Missed("the circle fit did not settle")
+    if fit.sigma_px <= SHARPEST_PX:
+        return Missed("the edge is sharper than pixels can show: it is no picture of a ball")
     good = edge_sectors(fit.sectors, noise)
     coverage = float(np.count_nonzero(good) / len(fit.weight))
     if coverage < least_coverage:
         return Missed(f"only {100 * coverage:.0f} % of the outline carry an edge ({100 * least_coverage:.0f} % needed)")
-    corner = corners(fit, good)
+    corner = corners(fit, edge_sectors(fit.sectors, noise, farthest_px=inf))
     if corner is not None:
         return Missed(corner)
     if not all(0.0 < variance < inf for variance in fit.cov_px2.diagonal().tolist()):
@@ -139,11 +142,11 @@ def _even(fit: CircleFit) -> Array:
     return np.asarray(design @ amplitude)
 
 
-def edge_sectors(sectors: Sectors, noise: NoiseModel) -> Flags:
+def edge_sectors(sectors: Sectors, noise: NoiseModel, farthest_px: float = FARTHEST_PX) -> Flags:
     """The sectors (S,) that speak for the circle."""
     sigma_dn = np.sqrt(np.maximum(sectors.level_dn, 0.0) / noise.gain_e_per_dn + noise.floor_dn2)
     sigma_px = 1.0 / np.sqrt(sectors.information)
     strong = np.abs(sectors.contrast_dn) > LEAST_CONTRAST * sigma_dn
-    near = np.abs(sectors.offset_px) < np.maximum(NEAR_PX, NEAR_SIGMA * sigma_px)
+    near = np.abs(sectors.offset_px) < np.clip(NEAR_SIGMA * sigma_px, NEAR_PX, farthest_px)
     good: Flags = strong & (sigma_px < WORST_EDGE_PX) & near & (sectors.chi2 < POOR_CHI2)
     return good
