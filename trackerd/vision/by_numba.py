@@ -11,7 +11,7 @@ import numpy as np
 
 from trackerd.contract.model import Image
 from trackerd.vision.annulus import Ring
-from trackerd.vision.compiled import fit
+from trackerd.vision.compiled import COMMON, fit
 from trackerd.vision.convergence import DAWN, PROFILE, RULES, CircleFit, Rules, Sectors, Sensor, Start
 from trackerd.vision.curve import Curve
 from trackerd.vision.noise import NoiseModel
@@ -38,7 +38,7 @@ def converge(image: Image, pixels: Ring, curve: Curve, start: Start, noise: Nois
     blurs, limbs = len(start.blur_px2), len(start.limb_dn)
     size = 3 + blurs + limbs
     circle = np.array((start.x_px, start.y_px, start.r_px, *start.blur_px2, *start.limb_dn, 0.0, 0.0, 0.0, 0.0))
-    cov, said = np.empty((size + 2, size + 2)), np.empty((6, len(pixels.count)))
+    cov, said = np.empty((size + COMMON, size + COMMON)), np.empty((6, len(pixels.count)))
     saturated_dn = noise.saturation_of(255 if image.dtype == np.uint8 else 65535)
     sensor = Sensor(1.0 / noise.gain_e_per_dn, noise.floor_dn2, saturated_dn)
     if not fit(

@@ -176,7 +176,7 @@ def _tie(normal: Array, levels: Array, middle: Array, ambient_spread_dn: float |
     Free levels cost a sixth of the precision; equal ones assumed would bias the centre by any gradient of the light. So the
     spread of the levels is taken from the sectors (empirical Bayes); those that stand out are left free. In `normal`, in place.
     """
-    a, b, d = normal[:, 0, 0], normal[:, 0, 1].copy(), normal[:, 1, 1]
+    a, b, d = normal[:, 0, 0].copy(), normal[:, 0, 1].copy(), normal[:, 1, 1].copy()
     det = a * d - b * b
     seeing = det > RULES.blind * a * d
     det = np.where(seeing, det, 1.0)
@@ -437,14 +437,8 @@ def _robust_step(reduced: Array, sectors: Sectors, seen: _Seen, shape: _Shape, t
     free = len(shape.blur_px2) > 1 or len(shape.limb_dn) > 0
     poor = RULES.poor_chi2 * max(1.0, float(ordered[3 * len(ordered) // 4]) if free else 1.0)
     weight = np.maximum(1.0 - (normalised * (1.0 / (RULES.tukey * scale))) ** 2, 0.0) ** 2
-    fair = np.minimum(1.0, poor / np.maximum(sectors.chi2, 1e-6)) ** 2
-    for n in range(1, int(RULES.doubtful_sectors) + 1):
-        fair = (
-            np.minimum(fair, np.minimum(np.roll(fair0, n), np.roll(fair0, -n)))
-            if n > 1
-            else np.minimum(fair, np.minimum(np.roll(fair, 1), np.roll(fair, -1)))
-        )
-        fair0 = np.minimum(1.0, poor / np.maximum(sectors.chi2, 1e-6)) ** 2
+    own = np.minimum(1.0, poor / np.maximum(sectors.chi2, 1e-6)) ** 2
+    fair = np.minimum(own, np.minimum(np.roll(own, 1), np.roll(own, -1)))  # what spoils one spreads into its neighbours
     weight *= fair * telling
     towards = _towards(seen, shape)
     k = towards.shape[1]

@@ -15,6 +15,8 @@ import numpy as np
 from trackerd.contract.model import Array, Image
 from trackerd.vision.convergence import Rules, Sensor
 
+COMMON = 6  # unknowns that the sectors' levels have in common: outside and inside, a mean and a gradient each
+
 _F = TypeVar("_F", bound=Callable[..., Any])
 _OPTIONS = {"nogil": True, "fastmath": False, "error_model": "numpy"}
 
@@ -116,7 +118,7 @@ def _weigh_pixel(level: float, model: float, profile: Array, sensor: Sensor, rul
 
 @_part
 def _add_pixels(
-    normal: Array, seen: Any, shape: Array, sigma: float, cosine: float, sine: float, bulge: Any, curved: bool,
+    normal: Array, seen: Any, shape: Array, sigma: float, cosine: float, sine: float, bulge: Any, curved: bool, ground: float,
     levels: Array, first: bool, profile: Array, rules: Rules, sensor: Sensor,
 ) -> None:  # fmt: skip
     """The sums of one sector without a limb term. `seen` (3, n) is place and grey value."""
@@ -132,8 +134,9 @@ def _add_pixels(
     a00 = a01 = a02 = a03 = a04 = a11 = a12 = a13 = a14 = a22 = a23 = a24 = a33 = a34 = a44 = 0.0
     for k in range(n):
         e = edge[k]
-        weight, residual = _weigh_pixel(seen[2, k], base + contrast * e, profile, sensor, rules)
-        d = slope * bell[k]
+        outside = ground * sigma * (scaled[k] * (1.0 - e) + bell[k])
+        weight, residual = _weigh_pixel(seen[2, k], base + contrast * e + outside, profile, sensor, rules)
+        d = slope * bell[k] - ground * (1.0 - e)
         b = d * (scaled[k] - bend)
         we, wd, wb, wr = weight * e, weight * d, weight * b, weight * residual
         a00, a01, a02, a03, a04 = a00 + weight, a01 + we, a02 + wd, a03 + wb, a04 + wr
@@ -148,7 +151,7 @@ def _add_pixels(
 
 @_part
 def _add_shaded_pixels(
-    normal: Array, seen: Any, shape: Array, sigma: float, cosine: float, sine: float, bulge: Any, curved: bool,
+    normal: Array, seen: Any, shape: Array, sigma: float, cosine: float, sine: float, bulge: Any, curved: bool, ground: float,
     along: float, towards: float, levels: Array, first: bool, profile: Array, dawn: Any, rules: Rules, sensor: Sensor,
 ) -> None:  # fmt: skip
     """The same with one."""
@@ -167,10 +170,11 @@ def _add_shaded_pixels(
     base, contrast = levels[0], levels[1]
     place = (0, 1, 2, 3, 4, 5, len(normal) - 1)
     for k in range(n):
-        model = base + contrast * columns[1, k] + level[k]
+        e = columns[1, k]
+        model = base + contrast * e + level[k] + ground * sigma * (scaled[k] * (1.0 - e) + bell[k])
         weight, columns[6, k] = _weigh_pixel(seen[2, k], model, profile, sensor, rules)
         columns[0, k] = 1.0
-        columns[2, k] += contrast / sigma * bell[k]
+        columns[2, k] += contrast / sigma * bell[k] - ground * (1.0 - e)
         columns[3, k] = columns[2, k] * (scaled[k] - bend) + rim[k] * (0.5 / sigma)
         for i in range(7):
             w = weight * columns[i, k]
@@ -244,28 +248,61 @@ def _median(values: Array, kept: Any, scratch: Array) -> float:
 
 
 @_part
-def _firmness(value: Array, variance: Array, seeing: Any, spread_dn: float, firm: Array, rules: Rules) -> float:
-    """1 / variance of the levels about their centre, into firm (S,); the centre. A negative spread is to be found."""
-    scratch, deviation = np.empty(len(value)), np.empty(len(value))
-    centre = _median(value, seeing, scratch)
-    for s in range(len(value)):
-        deviation[s] = abs(value[s] - centre)
-    spread2 = spread_dn**2
-    if spread_dn < 0.0:
-        found = (1.4826 * _median(deviation, seeing, scratch)) ** 2
-        spread2 = max(found - _median(variance, seeing, scratch), 0.0) + rules.least_spread_dn**2
-    for s in range(len(value)):
-        near = spread_dn >= 0.0 or deviation[s] < rules.stands_out * sqrt(spread2 + variance[s])
-        firm[s] = 1.0 / spread2 if near and seeing[s] else 0.0
-    return centre
+def _common_gradient(deviation: Array, share: Array, middle: Array, found: Array, both: Array) -> None:
+    """Mean and gradient (3,) of what the sectors show; their covariance in the right half of `both` (3, 6)."""
+    right, row = np.zeros(3), np.empty(3)
+    both[:] = 0.0
+    for s in range(len(share)):
+        row[0], row[1], row[2] = 1.0, middle[s, 0], middle[s, 1]
+        for i in range(3):
+            right[i] += share[s] * row[i] * deviation[s]
+            for k in range(3):
+                both[i, k] += share[s] * row[i] * row[k]
+    for i in range(3):
+        both[i, i] += 1e-9
+        both[i, 3 + i] = 1.0
+    _invert(both)
+    for i in range(3):
+        found[i] = both[i, 3] * right[0] + both[i, 4] * right[1] + both[i, 5] * right[2]
 
 
 @_part
-def _tie(normal: Array, levels: Array, ambient_spread_dn: float, rules: Rules) -> None:
-    """Ties the levels outside, and those inside, to what the sectors have in common."""
+def _firmness(value: Array, variance: Array, seeing: Any, middle: Array, firm: Array, centre: Array, rules: Rules) -> Any:
+    """1 / variance of the levels about what they have in common, into firm (S,), and that into centre; 1 / variance of its
+    gradient, and the gradient."""
+    sectors = len(value)
+    scratch, deviation, share = np.empty(sectors), np.empty(sectors), np.zeros(sectors)
+    found, both = np.empty(3), np.empty((3, 6))
+    middle_dn, own = _median(value, seeing, scratch), _median(variance, seeing, scratch)
+    for s in range(sectors):
+        deviation[s] = abs(value[s] - middle_dn)
+    typical = 1.4826 * _median(deviation, seeing, scratch)
+    for s in range(sectors):
+        if seeing[s] and deviation[s] < rules.stands_out * (typical + sqrt(variance[s])):
+            share[s] = 1.0 / variance[s]
+        deviation[s] = value[s] - middle_dn
+    _common_gradient(deviation, share, middle, found, both)
+    noise, strength = 0.5 * (both[1, 4] + both[2, 5]), 0.5 * (found[1] ** 2 + found[2] ** 2)
+    firmness = 1.0 / (max(strength - rules.gradient_noise * noise, 0.0) + 1.0 / rules.firmest)
+    for s in range(sectors):
+        part = found[0] + middle[s, 0] * found[1] + middle[s, 1] * found[2]
+        centre[s] = middle_dn + part
+        deviation[s] = abs(deviation[s] - part)
+    spread2 = max((1.4826 * _median(deviation, seeing, scratch)) ** 2 - own, 0.0) + rules.least_spread_dn**2
+    for s in range(sectors):
+        near = seeing[s] and deviation[s] < rules.stands_out * sqrt(spread2 + variance[s])
+        firm[s] = 1.0 / spread2 if near else 0.0
+    return firmness, found[1], found[2]
+
+
+@_part
+def _tie(normal: Array, levels: Array, middle: Array, ambient_spread_dn: float, ties: Array, rules: Rules) -> None:
+    """Ties the levels outside, and those inside, to what the sectors have in common. Out: ties (2, 3): 1 / variance of the
+    gradient, and the gradient. A negative spread of the levels inside is to be found."""
     sectors, last = len(normal), normal.shape[1] - 1
-    value, variance = np.empty((2, sectors)), np.empty((2, sectors))
-    seeing, firm, any_seeing = np.zeros(sectors, np.bool_), np.empty(sectors), False
+    value, variance = np.empty((2, sectors)), np.ones((2, sectors))
+    seeing, any_seeing = np.zeros(sectors, np.bool_), False
+    firm, centre, scratch = np.empty(sectors), np.empty(sectors), np.empty(sectors)
     for s in range(sectors):
         m = normal[s]
         a, b, d = m[0, 0], m[0, 1], m[1, 1]
@@ -275,15 +312,23 @@ def _tie(normal: Array, levels: Array, ambient_spread_dn: float, rules: Rules) -
         det = det if seeing[s] else 1.0
         value[0, s] = levels[s, 0] + (d * m[0, last] - b * m[1, last]) / det
         value[1, s] = value[0, s] + levels[s, 1] + (a * m[1, last] - b * m[0, last]) / det
-        variance[0, s], variance[1, s] = d / det, (a - 2.0 * b + d) / det
+        if seeing[s]:
+            variance[0, s], variance[1, s] = d / det, max((a - 2.0 * b + d) / det, 1e-12)
+    ties[:] = 0.0
     if not any_seeing:
         return
     for end in range(2):
-        centre = _firmness(value[end], variance[end], seeing, ambient_spread_dn if end == 1 else -1.0, firm, rules)
+        if end == 1 and ambient_spread_dn >= 0.0:
+            ties[1, 0] = rules.firmest
+            common_dn = _median(value[1], seeing, scratch)
+            for s in range(sectors):
+                firm[s], centre[s] = 1.0 / ambient_spread_dn**2 if seeing[s] else 0.0, common_dn
+        else:
+            ties[end, 0], ties[end, 1], ties[end, 2] = _firmness(value[end], variance[end], seeing, middle, firm, centre, rules)
         common = last - 2 + end
         for s in range(sectors):
             m, w = normal[s], firm[s]
-            gap = centre - levels[s, 0] - end * levels[s, 1]
+            gap = centre[s] - levels[s, 0] - end * levels[s, 1]
             for i in range(end + 1):
                 for j in range(i, end + 1):
                     m[i, j] += w
@@ -311,7 +356,8 @@ def _weigh(said: Array, relative: bool, rules: Rules) -> bool:
     poor = rules.poor_chi2 * (max(1.0, chi2[3 * told // 4]) if relative else 1.0)
     for s in range(sectors):
         normalised = said[2, s] * sqrt(said[3, s]) / (rules.tukey * scale)
-        weight = max(1.0 - normalised**2, 0.0) ** 2 * min(1.0, poor / max(said[4, s], 1e-6)) ** 2
+        worst = max(said[4, s - 1], said[4, s], said[4, (s + 1) % sectors])  # what spoils one spreads into its neighbours
+        weight = max(1.0 - normalised**2, 0.0) ** 2 * min(1.0, poor / max(worst, 1e-6)) ** 2
         said[5, s] = weight if said[3, s] > 1.0 else 0.0
     return True
 
@@ -331,14 +377,16 @@ def _point(towards: Array, column: Any, s: int, design: Any, blur_design: Any, m
         column[first] = column[first + 1] = 2 if lamp else 3
         column[first + 2] = 3
     last = 4 if limbs else 2
-    towards[first + limbs], towards[first + limbs + 1] = 1.0, 1.0
-    column[first + limbs], column[first + limbs + 1] = last, last + 1
+    for end in range(2):
+        at = first + limbs + 3 * end
+        towards[at], towards[at + 1], towards[at + 2] = 1.0, middle[s, 0], middle[s, 1]
+        column[at] = column[at + 1] = column[at + 2] = last + end
 
 
 @_part
 def _solve(
     said: Array, reduced: Array, design: Array, blur_design: Array, middle: Array, shape: Array, blurs: int, limbs: int,
-    lamp: bool, rules: Rules, normal: Array, delta: Array, towards: Array, column: Any,
+    lamp: bool, ties: Array, rules: Rules, normal: Array, delta: Array, towards: Array, column: Any,
 ) -> None:  # fmt: skip
     """The step of all unknowns; the inverse of its normal matrix, (n, n), in the right half of `normal`."""
     normal[:] = 0.0
@@ -358,6 +406,11 @@ def _solve(
             normal[i, k] = normal[k, i]
         normal[i, i] += 1e-6
         normal[i, size + i] = 1.0
+    for end in range(2):
+        for k in range(2):
+            at = size - 5 + 3 * end + k
+            normal[at, at] += ties[end, 0]
+            right[at] -= ties[end, 0] * ties[end, 1 + k]
     _invert(normal)
     for i in range(size):
         delta[i] = 0.0
@@ -460,7 +513,8 @@ def _iterate(
     dawn: Any, rules: Rules, sensor: Sensor, circle: Array, blurs: int, limbs: int, cov: Array, said: Array,
 ) -> bool:  # fmt: skip
     sectors, shape = len(inside), circle[:-4].copy()
-    size, columns = len(shape) + 2, 9 if limbs else 7
+    size, columns = len(shape) + COMMON, 9 if limbs else 7
+    ties, ground = np.zeros((2, 3)), np.zeros(2)
     limb = shape[3 + blurs :]
     lamp = limbs > 0 and (limb[0] != 0.0 or limb[1] != 0.0 or limb[2] != 0.0)
     clipped = _is_clipped(seen, inside, sensor)
@@ -473,35 +527,39 @@ def _iterate(
         normal[:] = 0.0
         for s in range(sectors):
             pixels, sigma = seen[:, s, : inside[s]], _sigma(shape[3 : 3 + blurs], blur_design, s, rules)
+            slope = (ground[0] * middle[s, 0] + ground[1] * middle[s, 1]) / shape[2]
             if limbs:
                 swing = limb[0] * middle[s, 0] + limb[1] * middle[s, 1]
                 along, upon = (swing, limb[2]) if lamp else (0.0, limb[2] + swing)
                 _add_shaded_pixels(
-                    normal[s], pixels, shape, sigma, middle[s, 0], middle[s, 1], bulge[s], curved, along, upon, levels[s],
-                    first, profile, dawn, rules, sensor,
+                    normal[s], pixels, shape, sigma, middle[s, 0], middle[s, 1], bulge[s], curved, slope, along, upon,
+                    levels[s], first, profile, dawn, rules, sensor,
                 )  # fmt: skip
             else:
                 _add_pixels(
-                    normal[s], pixels, shape, sigma, middle[s, 0], middle[s, 1], bulge[s], curved, levels[s], first, profile,
-                    rules, sensor,
+                    normal[s], pixels, shape, sigma, middle[s, 0], middle[s, 1], bulge[s], curved, slope, levels[s], first,
+                    profile, rules, sensor,
                 )  # fmt: skip
         first = False
         if n > 0:
             length = sqrt(limb[0] ** 2 + limb[1] ** 2 + limb[2] ** 2) if lamp else 0.0
-            _tie(normal, levels, rules.ambient_spread_dn + rules.ambient_spread * length if lamp else -1.0, rules)
+            spread_dn = rules.ambient_spread_dn + rules.ambient_spread * length if lamp else -1.0
+            _tie(normal, levels, middle, spread_dn, ties, rules)
+            ground[0], ground[1] = ties[0, 1], ties[0, 2]
         for s in range(sectors):
             _eliminate_levels(normal[s], levels[s], reduced[s], coupling[s], sensor, rules)
             _say(said[:, s], levels[s], reduced[s], inside[s])
         if not _weigh(said, blurs > 1 or limbs > 0, rules):
             return False
-        _solve(said, reduced, design, blur_design, middle, shape, blurs, limbs, lamp, rules, both, delta, towards, column)
+        _solve(said, reduced, design, blur_design, middle, shape, blurs, limbs, lamp, ties, rules, both, delta, towards, column)
         if clipped:
             _follow(levels, coupling, towards, column, delta)
         _move(shape, delta, blurs, rules)
         far_px = abs(shape[0] - circle[0]) + abs(shape[1] - circle[1]) + abs(shape[2] - circle[2])
         if not far_px <= rules.farthest_px:  # a NaN is no place either
             return False
-        settled = _has_settled(shape, delta, blurs, rules.settled_px * (rules.lamp_settled if lamp else 1.0), rules)
+        settled_px = rules.settled_px * (rules.lamp_settled if lamp else 1.0)
+        settled = n >= rules.least_steps and _has_settled(shape, delta, blurs, settled_px, rules)
         if limbs and not lamp:
             if settled or n >= rules.harmonic_steps:
                 _lamp_of(limb, levels, said[5], middle)
@@ -561,7 +619,7 @@ def fit(
     """False: no circle is determined near by, and what is out means nothing.
 
     In and out: circle: x, y, r, blur (1 or 3), limb (0 or 3); and out in its next 4: clipped share, median chi2, widest blur,
-    settled. Out: cov of those, and of two levels; said (6, S): contrast, level, offset, information, chi2, weight of the
+    settled. Out: cov of those, and of six of the common levels; said (6, S): contrast, level, offset, information, chi2, weight of the
     sectors. In: pixels and designs as in Ring and Curve; span: how far inside and outside a curve its pixels may be.
     """
     x0, y0 = round(circle[0]), round(circle[1])

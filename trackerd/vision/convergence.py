@@ -30,7 +30,6 @@ class Rules(NamedTuple):
     most_px2: float = SIGMA_RANGE_PX[1] ** 2
     blind: float = 1e-4  # of its diagonal: a sector cut off by the image's border does not see both levels
     tukey: float = 4.685  # 95 % efficient for normal errors
-    doubtful_sectors: float = 1.0  # next to one that fits badly
     least_spread_dn: float = 0.1  # of the levels from sector to sector
     gradient_noise: float = 1.5  # of their common gradient: what of its square is put down to noise, in units of that
     firmest: float = 1e4  # DN^-2

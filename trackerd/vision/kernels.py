@@ -13,7 +13,7 @@ def converge() -> Converge:
         from trackerd.vision import by_numba  # noqa: PLC0415  heavy, and not installed everywhere
     except ImportError:
         return by_numpy.converge
-    return by_numpy.converge
+    return by_numba.converge
 
 
 def name() -> str:
