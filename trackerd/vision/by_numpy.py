@@ -3,8 +3,8 @@
 Sector j: I = B_j + D_j E(t) + f, E = erfc(t / sqrt 2) / 2, t = s / sig + sig / (2 r), s the distance from the outline. The last
 term of t is the curvature of the edge; without it r is low by sig^2 / (2 r). f is the limb term, see limb. B_j and D_j are
 eliminated (Schur), which leaves the offset e_j of the edge in each sector with its information w_j; Tukey's weights on
-e_j sqrt(w_j) make the outline robust. Pixels weigh by the noise of the *model's* level: weights by the observed one would bias r.
-A saturated pixel says only that its level is beyond.
+e_j sqrt(w_j) make the outline robust. Pixels weigh by the noise of the *model's* level: weights by the observed one would
+bias r. A saturated pixel says only that its level is beyond.
 """
 
 from dataclasses import dataclass
@@ -156,7 +156,7 @@ def _iterate(seen: _Seen, shape: _Shape) -> tuple[_Step, Sectors, bool] | None:
 
 
 def _lamp_of(levels: Array, harmonics_dn: Array, weight: Array, pixels: Ring) -> Array:
-    """The lamp that such levels and such a limb come from: half a cosine of light round the rim has half as strong a harmonic."""
+    """The lamp that such levels and such a limb come from: of half a cosine round the rim, the harmonic is half as strong."""
     design = np.column_stack((np.ones(len(weight)), pixels.middle))
     weighted = design * weight[:, None]
     side = 2.0 * np.linalg.solve(weighted.T @ design + 1e-6 * np.eye(3), weighted.T @ levels.sum(axis=1))[1:]

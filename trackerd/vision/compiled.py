@@ -508,7 +508,7 @@ def _sum_up(
 
 
 @_part
-def _iterate(
+def _iterate(  # noqa: PLR0912
     seen: Any, inside: Any, middle: Array, design: Array, blur_design: Array, bulge: Array, curved: bool, profile: Array,
     dawn: Any, rules: Rules, sensor: Sensor, circle: Array, blurs: int, limbs: int, cov: Array, said: Array,
 ) -> bool:  # fmt: skip
@@ -612,15 +612,15 @@ def _gather(
 
 @_kept
 def fit(
-    image: Image, column: Any, row: Any, count: Any, middle: Array, design: Array, blur_design: Array, bulge: Array, curved: bool,
-    span: Any, profile: Array, dawn: Any, rules: Rules, sensor: Sensor, circle: Array, blurs: int, limbs: int, cov: Array,
-    said: Array,
+    image: Image, column: Any, row: Any, count: Any, middle: Array, design: Array, blur_design: Array, bulge: Array,
+    curved: bool, span: Any, profile: Array, dawn: Any, rules: Rules, sensor: Sensor, circle: Array, blurs: int, limbs: int,
+    cov: Array, said: Array,
 ) -> bool:  # fmt: skip
     """False: no circle is determined near by, and what is out means nothing.
 
     In and out: circle: x, y, r, blur (1 or 3), limb (0 or 3); and out in its next 4: clipped share, median chi2, widest blur,
-    settled. Out: cov of those, and of six of the common levels; said (6, S): contrast, level, offset, information, chi2, weight of the
-    sectors. In: pixels and designs as in Ring and Curve; span: how far inside and outside a curve its pixels may be.
+    settled. Out: cov of those, and of six of the common levels; said (6, S): contrast, level, offset, information, chi2, weight
+    of the sectors. In: pixels and designs as in Ring and Curve; span: how far inside and outside a curve its pixels may be.
     """
     x0, y0 = round(circle[0]), round(circle[1])
     circle[0] -= x0

@@ -65,7 +65,7 @@ class View:
         if self._made is not None and len(self._made[2].bulge) == sectors and self.holds(x_px, y_px, r_px, self._made[2]):
             return self._made[2]
         place = np.array((x_px, y_px, r_px))
-        made, reach_px = _curve(self.lens, place + (*self.origin_px, 0.0), sectors)
+        made, reach_px = _curve(self.lens, place + np.array((*self.origin_px, 0.0)), sectors)
         self._made = place, reach_px, made
         return made
 

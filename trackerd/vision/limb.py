@@ -1,7 +1,7 @@
 """Whether the ball's rim is shaded so that the limb term is needed: decided by the pictures, and not anew for every one.
 
-The term costs 1.4 times the noise where it is not needed; without it a lamp from one side shifts the centre by up to 0.8 px, and
-a darkened rim makes the radius small. Switching from frame to frame would let both errors flicker.
+The term costs some noise of the radius, and time; without it a lamp from one side shifts the centre by up to 0.8 px, and a
+darkened rim makes the radius small. Switching from frame to frame would let both errors flicker.
 """
 
 import numpy as np

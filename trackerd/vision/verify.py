@@ -25,7 +25,7 @@ CORNERS = (3, 4, 5, 6)
 SURE_PX = 0.1  # no edge counts as surer than this: a corner is larger, what a spot does to a few sectors is not
 AMPLITUDE_SIGMAS, LEAST_AMPLITUDE_PX, LEAST_SMEARED_PX = 4.5, 0.1, 0.25
 WIDE_GAP, BESIDE = 0.12, 3  # share of the outline; sectors
-CORNER_SIGMAS, LEAST_CORNER_PX = 1.7, 0.08  # typical distance of the edges from the circle
+CORNER_SIGMAS, LEAST_CORNER_PX, CORNER_BLURS = 1.7, 0.08, 0.08  # typical distance of the edges from the circle
 SIGNIFICANT = 2.0  # sigmas by which the sectors' scatter must exceed the noise before the covariance grows
 STRUCTURED_CHI2 = 1.06  # half of the sectors worse than this: something else than noise is in the picture
 KEPT_BY_TUKEY = 0.74  # of the square of a normal deviate, by its own weight; that weight's square taken out
@@ -74,7 +74,7 @@ def corners(fit: CircleFit, good: Flags) -> str | None:
     away = np.abs(fit.sectors.offset_px - _even(fit))[good]
     scatter_px = 1.4826 * float(np.median(away))
     sigmas = 1.4826 * float(np.median(away * np.sqrt(fit.sectors.information[good])))
-    if sigmas > CORNER_SIGMAS and scatter_px > LEAST_CORNER_PX:
+    if sigmas > CORNER_SIGMAS and scatter_px > max(LEAST_CORNER_PX, CORNER_BLURS * fit.sigma_px):
         return f"the edges are {scatter_px:.2f} px off any circle, {sigmas:.1f} times their noise"
     return _polygon(fit, good)
 
@@ -87,7 +87,7 @@ def _polygon(fit: CircleFit, good: Flags) -> str | None:
     design = np.column_stack([np.ones(len(middle)), *(f(n * middle) for n in orders for f in (np.cos, np.sin))])
     inverse = np.linalg.inv((design * weight[:, None]).T @ design + 1e-9 * np.eye(design.shape[1]))
     amplitude = inverse @ (design.T @ (weight * fit.sectors.offset_px))
-    least_px = LEAST_AMPLITUDE_PX if len(fit.blur_px2) == 1 else LEAST_SMEARED_PX
+    least_px = LEAST_AMPLITUDE_PX if len(fit.blur_px2) == 1 else max(LEAST_SMEARED_PX, CORNER_BLURS * fit.sigma_px)
     for k, n in enumerate(CORNERS, start=2):
         cosine, sine = 1 + 2 * k, 2 + 2 * k
         size = float(np.hypot(amplitude[cosine], amplitude[sine]))
@@ -132,7 +132,7 @@ def scatter(fit: CircleFit) -> tuple[float, str]:
 
 
 def _even(fit: CircleFit) -> Array:
-    """What a smear, which is no Gaussian blur, does to the sectors' edges, (S,): alike on opposite sides, it moves no centre."""
+    """What a smear, no Gaussian blur, does to the sectors' edges, (S,): alike on opposite sides, it moves no centre."""
     if len(fit.blur_px2) == 1:
         return np.zeros(len(fit.weight))
     middle = angles(len(fit.weight))
