@@ -126,7 +126,7 @@ def test_a_lost_target_is_found_anywhere_afterwards() -> None:
     run = Run(TrackingSettings(coast_frames=0))
     run.lock(at(150.0, 150.0))
     assert run.see(EMPTY).state is TrackState.SEARCHING
-    assert run.lock(at(500.0, 350.0, 58.0)).state is TrackState.LOCKED
+    assert run.lock(at(500.0, 350.0, 40.0)).state is TrackState.LOCKED
 
 
 def test_a_fast_target_is_held_in_every_frame() -> None:

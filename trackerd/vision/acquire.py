@@ -6,9 +6,8 @@ up in the last image in which the target was seen. Balls that are found to be ot
 missed, and at times while it is seen (`Bystanders`).
 
 What cannot be known is refused, with the reason: an outline where the target and another ball are expected within half a
-radius; one of two outlines that are equally near; one that may be another ball's that was out of sight as well as the target;
-for 100 frames a ball that comes in over the image's edge while the target was hidden in the middle. With two balls in view such
-a doubt ends by itself only if the target was at rest: else somebody has to select it again. What is not guaranteed,
+radius; one of two outlines that are equally near; for 100 frames a ball that comes in over the image's edge while the target
+was hidden in the middle, and one that may be another's that was out of sight as well as the target. What is not guaranteed,
 because no image shows it: equal balls of which the target and another were hidden at one time, away from where each was last
 seen; and an equal ball that nobody had seen (it was behind something, or nearly all behind the target) and that appears while
 the target is hidden.
@@ -38,9 +37,7 @@ GATE_RADII = 0.25  # from where it is expected: what is farther off is looked at
 FRESH_FRAMES = 3  # an expectation that was confirmed so few frames ago tells the target from a ball that may be another
 WIDEST_REACH = 0.5  # of the radius: the rays must start inside the outline
 SMALL_IMAGE_PX = 1_500_000  # a greater image is searched for an unknown ball in every second frame: 7 ms and more for 3 Mpx
-KEPT_FRAMES = 300  # after a loss, with no second ball like it in view: then whatever is found is the target
-STAYING_FRAMES, STAYING_RADII = 5, 0.02  # in the target's place, and how far it may move meanwhile in a frame
-STAYED_FRAMES = 120  # after a loss: later, its place means nothing
+KEPT_FRAMES = 300  # after a loss: then light, range or target may have changed, and whatever is found is the target
 CLEARLY_NEARER = 0.5  # of the next one's distance
 EDGE_RADII, EDGE_RADII_HIDDEN = 1.0, 1.5  # a ball so near to the image's edge comes in over it
 NOTHING = "nothing round in the image passes the verification"
@@ -85,8 +82,7 @@ class Acquisition:
         """Another target is wanted: nothing of this one is kept."""
         self._look: Look | None = None
         self._lost: Expected | None = None  # where it was expected when it was given up
-        self._alone = 0  # frames since it was given up, or since more than one ball like it was in view
-        self._staying: tuple[float, float, int] | None = None  # an outline in the target's place, and for how many frames
+        self._lost_frames = 0
         self._limb = LimbChoice()
         self._bystanders.forget()
         self._box.forget()
@@ -117,17 +113,18 @@ class Acquisition:
     def anywhere(self, image: Image, frame_id: int, near_px: tuple[float, float] | None) -> Outline:
         """After a loss the ball that was lost; else the best outline, or the one nearest to a pixel."""
         if self._lost is not None and near_px is None:
-            self._alone += 1
-            if self._alone <= KEPT_FRAMES:
+            self._lost_frames += 1
+            if self._lost_frames > KEPT_FRAMES:
+                self._look = None
+            if self._look is not None or self._bystanders.known:
                 return self._elsewhere(image, self._lost, LOST_RADIUS) or Missed(NOTHING)
-            self.forget()
         if image.size > SMALL_IMAGE_PX and frame_id % 2:
             return Missed("a large image is searched in every second frame")
         return search(image, self._noise, self._radius_px, near_px, self._view)
 
     def near(self, image: Image, expected: Expected) -> Outline:
         """The ball that is followed, by prediction, tracker or search, whichever is the first to have a plausible outline."""
-        self._lost, self._alone = expected, 0
+        self._lost, self._lost_frames = expected, 0
         if expected.missed == 0:  # the prediction of a ball that was seen a frame ago is good to a pixel or so
             at_once = self._judged(refine(image, expected.circle, self._noise, self._view, self._limb), expected)
             if isinstance(at_once, Found):
@@ -172,7 +169,7 @@ class Acquisition:
             smallest, largest = self._radius_px
             return Missed(f"an outline of radius {outline.r_px:.1f} px is not admitted ({smallest:g} to {largest:g} px)")
         r = expected.circle[2]
-        if not same_size(outline.r_px, r, expected.missed, SAME_RADIUS):
+        if not same_size(outline.r_px, r, SAME_RADIUS):
             return Missed(f"an outline of radius {outline.r_px:.1f} px is not the target's ({r:.1f} px)")
         if self._look is not None and not self._look.has_levels(outline):
             return Missed(
@@ -180,16 +177,14 @@ class Acquisition:
             )
         return self._bystanders.judged(outline, Place(expected.circle, expected.missed))
 
-    def _elsewhere(self, image: Image, expected: Expected, most: float) -> Outline | None:
+    def _elsewhere(self, image: Image, expected: Expected, growth: float) -> Outline | None:
         """Whatever looks like the target, anywhere, and is no other ball. None: nothing is round."""
         r = expected.circle[2]
         radius_px = max(self._radius_px[0], r / (1.0 + LOST_RADIUS)), min(self._radius_px[1], r * (1.0 + LOST_RADIUS))
         outlines = everywhere(image, self._noise, radius_px, self._view)
         strangers = self._bystanders.strangers(outlines, Place(expected.circle, expected.missed))
         look = self._look
-        if sum(look is None or look.has_levels(outline) for outline in outlines) > 1:
-            self._alone = 0
-        alike = [s for s in strangers if same_size(s.r_px, r, expected.missed, most) and (look is None or look.has_levels(s))]
+        alike = [s for s in strangers if same_size(s.r_px, r, growth) and (look is None or look.has_levels(s))]
         if not alike:
             return _why_none(len(outlines), len(strangers))
         if any(_comes_in(image, s, expected) for s in alike):
@@ -199,19 +194,11 @@ class Acquisition:
         nearest_px = expected.distance_px(alike[0])
         if len(alike) > 1 and nearest_px > CLEARLY_NEARER * expected.distance_px(alike[1]):
             return Missed(f"{len(alike)} balls are in view: which one is the target cannot be told")
-        fresh = nearest_px <= r and expected.missed <= FRESH_FRAMES
-        doubt = self._bystanders.in_doubt and not fresh and not self._stays(alike[0], expected)
-        if doubt or self._bystanders.covers(alike[0], expected.circle):
+        place = Place(expected.circle, expected.missed)
+        in_place = place.has(alike[0]) or (nearest_px <= r and expected.missed <= FRESH_FRAMES)
+        if (self._bystanders.in_doubt and not in_place) or self._bystanders.covers(alike[0], expected.circle):
             return Missed("another ball is in view: which one is the target cannot be told")
         return alike[0]
-
-    def _stays(self, found: Found, expected: Expected) -> bool:
-        """Whether an outline has been in the place of a target at rest for some frames: another ball would pass it."""
-        x, y, frames = self._staying or (found.x_px, found.y_px, 0)
-        stays = hypot(found.x_px - x, found.y_px - y) <= STAYING_RADII * found.r_px
-        self._staying = found.x_px, found.y_px, frames + 1 if stays else 1
-        in_place = Place(expected.circle, expected.missed).has(found) and expected.missed <= STAYED_FRAMES
-        return in_place and self._staying[2] >= STAYING_FRAMES
 
     def _admits(self, found: Found) -> bool:
         return self._radius_px[0] <= found.r_px <= self._radius_px[1]

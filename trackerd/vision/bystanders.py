@@ -15,7 +15,7 @@ from trackerd.vision.curve import View
 from trackerd.vision.everywhere import ITSELF_RADII, everywhere
 from trackerd.vision.locate import locate
 from trackerd.vision.noise import NoiseModel
-from trackerd.vision.others import KEPT_NEW, Others, Place
+from trackerd.vision.others import DOUBTED_NEW, Others, Place
 from trackerd.vision.rays import Circle, edges_on_rays, first_circle
 
 ALIKE = 0.3  # of the target's radius: other balls that are looked for
@@ -102,7 +102,7 @@ class Bystanders:
 
     def came_in(self, outlines: Sequence[Found]) -> None:
         """Balls that came into view while the target was missed: for some time they are not taken for it."""
-        self._others.add(outlines, kept=KEPT_NEW)
+        self._others.add(outlines, doubted=DOUBTED_NEW)
 
     def _look_back(self, outlines: Sequence[Found]) -> None:
         """Balls that were in view beside the target when it was last seen, brought to where those at rest are now."""

@@ -8,9 +8,6 @@ NEWEST = 0.2  # share of a new outline in the look: light and range change slowl
 SAME_LEVEL, SAME_LEVEL_DN = 0.4, 8.0  # of the ball's own level, where it stands out to the same side
 NEAR_LEVEL, NEAR_LEVEL_DN = 0.15, 4.0  # and where it does not: before a background that is now the brighter one
 
-SIZE, SIZE_PX = 0.05, 0.8  # by which a radius may change from one outline to the next
-SIZE_A_FRAME = 0.004  # and more for each frame since: 0.35 m/s along the line of sight at 1.6 m and 55 frames a second
-
 
 @dataclass(frozen=True, slots=True)
 class Look:
@@ -41,7 +38,6 @@ class Look:
         return off_dn <= min(NEAR_LEVEL * self.inside_dn + NEAR_LEVEL_DN, abs(self.contrast_dn))
 
 
-def same_size(r_px: float, expected_px: float, frames: int, most: float) -> bool:
-    """Whether a radius is the one of so many frames ago, but for a share of it (`most`, at most), larger or smaller."""
-    growth = min(max(SIZE, SIZE_PX / expected_px) + SIZE_A_FRAME * frames, most)
+def same_size(r_px: float, expected_px: float, growth: float) -> bool:
+    """Whether a radius is the expected one but for a share of it, larger or smaller."""
     return expected_px / (1.0 + growth) <= r_px <= expected_px * (1.0 + growth)

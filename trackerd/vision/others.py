@@ -13,15 +13,15 @@ from trackerd.vision.everywhere import ITSELF_RADII
 from trackerd.vision.look import Look, same_size
 from trackerd.vision.rays import Circle
 
-ALIKE = 0.25  # of the radius: an outline that differs by more is not this ball's, however long ago that was
+ALIKE = 0.25  # of the radius: an outline that differs by more is not this ball's
 FIRST_RADII, FIRST_PX = 2.0, 40.0  # how far one may have gone in its first frame, when its speed is not known
 KNOWN_RADII, KNOWN_PX = 1.0, 16.0  # and how far from its prediction, when it is
-STEADY_PX, STEADY_SHARE = 4.0, 0.3  # by how much it strays in a frame, and of its speed
+STEADY_RADII, STEADY_PX = 0.25, 8.0  # and by how much it strays in a frame
 RADII_A_FRAME = 0.5  # more for each frame in which it was not seen
 CARRIED_ON = 20  # frames for which its speed is trusted
 CLEAR_FRAMES = 3  # out of sight for so few, it is where it is expected
 FORGOTTEN = 300  # frames out of sight
-KEPT_NEW = 100  # frames for which one that came in while the target was missed is refused
+DOUBTED, DOUBTED_NEW = 300, 100  # frames for which one that may be the target is refused; one that came in is
 NEWEST = 0.5  # share of the newest speed
 TARGETS_SHARE = 0.5  # an outline so much nearer to the target's place than to another ball's is the target's, up to
 TARGETS_RADII, TARGETS_RADII_DOUBTED = 1.0, 0.3  # so many of its radii, and where that other was out of sight
@@ -37,7 +37,7 @@ class Other:
     speed_px: tuple[float, float] | None = None  # a frame
     unseen: int = 0  # frames
     sure: bool = True  # not the target; False: it was out of sight, and what was found then may be the target as well
-    kept: int | None = None  # for so many frames only; None: for as long as it is seen
+    doubted: int | None = None  # frames for which it is kept, where it may be the target; None: for as long as it is seen
 
     @property
     def reach_px(self) -> float:
@@ -58,21 +58,25 @@ class Other:
         if self.speed_px is None:
             near_px = self._near_px
         else:
-            near_px = (STEADY_PX + STEADY_SHARE * hypot(*self.speed_px)) * (1.0 if self.unseen <= 1 else 2.0)
+            near_px = (STEADY_RADII * self.look.r_px + STEADY_PX) * min(max(self.unseen, 1), CLEAR_FRAMES)
         return self.distance_px(found.x_px, found.y_px) <= near_px
 
     def may_be(self, found: Found) -> bool:
-        alike = same_size(found.r_px, self.look.r_px, self.unseen, ALIKE) and self.look.has_levels(found)
+        alike = same_size(found.r_px, self.look.r_px, ALIKE) and self.look.has_levels(found)
         return alike and self.distance_px(found.x_px, found.y_px) <= self.reach_px
 
     def go_on(self, moved_px: tuple[float, float]) -> None:
         """One frame later; things at rest have moved by this much in the image."""
         self.unseen += 1
-        if self.kept is not None:
-            self.kept -= 1
+        if self.doubted is not None:
+            self.doubted -= 1
         vx, vy = self.speed_px if self.speed_px is not None and self.unseen <= CARRIED_ON else (0.0, 0.0)
         self.x_px += moved_px[0] + vx
         self.y_px += moved_px[1] + vy
+
+    def doubt(self) -> None:
+        self.sure = False
+        self.doubted = DOUBTED if self.doubted is None else self.doubted
 
     def seen(self, found: Found) -> None:
         """Found again, after `go_on`; where it was expected tells how much faster it is than was thought."""
@@ -117,7 +121,7 @@ class Others:
     def go_on(self, moved_px: tuple[float, float]) -> None:
         for other in self.known:
             other.go_on(moved_px)
-        self.known = [other for other in self.known if other.unseen <= FORGOTTEN and other.kept != 0]
+        self.known = [other for other in self.known if other.unseen <= FORGOTTEN and other.doubted != 0]
 
     def drop_outside(self, width: int, height: int) -> None:
         """Those that have left the image: what comes in is looked at as such."""
@@ -148,12 +152,13 @@ class Others:
                 owner[f] = o
         nearest = {o: min(px for px, other, _ in pairs if other == o) for o in owner.values()}
         contested = {o for px, o, f in pairs if f not in owner and px < 2.0 * nearest[o] + self.known[o].look.r_px}
+        in_place = any(target.has(found) for f, found in enumerate(outlines) if f not in owner)
         for f, o in owner.items():
             other, outline = self.known[o], outlines[f]
-            elsewhere = target.distance_px(outline) > target.reach_px  # the target is not there
+            elsewhere = in_place or target.distance_px(outline) > target.reach_px  # the target is not there
             clear = other.unseen <= CLEAR_FRAMES or (o not in contested and elsewhere)
             if not (clear and other.is_expected_at(outline)):
-                other.sure = False
+                other.doubt()
             other.seen(outline)
         self._drop_ghosts()
         return [found for f, found in enumerate(outlines) if f not in owner]
@@ -162,7 +167,7 @@ class Others:
         """The target is seen, for sure: who is in view beside it is another ball."""
         for other in self.known:
             if other.unseen == 0:
-                other.sure, other.kept = True, None
+                other.sure, other.doubted = True, None
 
     def _drop_ghosts(self) -> None:
         """What was kept twice: one of the two is seen, the other is out of sight at the same place."""
@@ -173,11 +178,11 @@ class Others:
             if other.unseen > 0 and all(s.distance_px(other.x_px, other.y_px) > s.look.r_px for s in seen)
         ]
 
-    def add(self, outlines: Sequence[Found], unseen: int = 0, kept: int | None = None) -> None:
+    def add(self, outlines: Sequence[Found], unseen: int = 0, doubted: int | None = None) -> None:
         """Balls that nobody knew of, or that were already seen in this frame."""
         for found in outlines:
             if not any(o.unseen == 0 and o.distance_px(found.x_px, found.y_px) < ITSELF_RADII * found.r_px for o in self.known):
-                self.known.append(Other(Look.of(found), found.x_px, found.y_px, unseen=unseen, kept=kept))
+                self.known.append(Other(Look.of(found), found.x_px, found.y_px, unseen=unseen, doubted=doubted))
 
 
 def _may_claim(other: Other, found: Found, target: Place) -> bool:
