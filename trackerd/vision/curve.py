@@ -49,32 +49,42 @@ def angles(sectors: int) -> Array:
     return np.asarray((np.arange(sectors) + 0.5) * (2.0 * pi / sectors))
 
 
+@dataclass(frozen=True, slots=True)
+class _Made:
+    """A curve, where it was made (x, y, r), and how far from there it is good enough, in px."""
+
+    curve: Curve
+    place: Array
+    reach_px: float
+
+    def holds(self, place: Array) -> bool:
+        return float(np.abs(place - self.place).sum()) <= self.reach_px
+
+
 class View:
-    """Where an image is on the sensor behind a lens. It remembers its latest curve: for one tracker, one thread."""
+    """Where an image is on the sensor behind a lens. It remembers its latest curves: for one tracker, one thread."""
 
     def __init__(self, lens: Lens, origin_px: tuple[int, int] = (0, 0)) -> None:
         self.lens = lens
         self.origin_px = origin_px
-        self._made: tuple[Array, float, Curve] | None = None  # at (x, y, r), good within this many px of it
+        self._made: dict[int, _Made] = {}  # by the number of sectors
 
     def curve(self, x_px: float, y_px: float, r_px: float, sectors: int) -> Curve:
         """Of the sphere whose outline has this centre and r = sqrt(a b), in the image's coordinates.
 
         Raises ValueError where the lens shows no such outline.
         """
-        if self._made is not None and len(self._made[2].bulge) == sectors and self.holds(x_px, y_px, r_px, self._made[2]):
-            return self._made[2]
         place = np.array((x_px, y_px, r_px))
-        made, reach_px = _curve(self.lens, place + np.array((*self.origin_px, 0.0)), sectors)
-        self._made = place, reach_px, made
-        return made
+        made = self._made.get(sectors)
+        if made is None or not made.holds(place):
+            curve, reach_px = _curve(self.lens, place + np.array((*self.origin_px, 0.0)), sectors)
+            made = self._made[sectors] = _Made(curve, place, reach_px)
+        return made.curve
 
     def holds(self, x_px: float, y_px: float, r_px: float, curve: Curve) -> bool:
         """Whether the latest curve, if this is it, is good enough there."""
-        if self._made is None or self._made[2] is not curve:
-            return False
-        at, reach_px, _ = self._made
-        return float(np.abs(np.array((x_px, y_px, r_px)) - at).sum()) <= reach_px
+        made = self._made.get(len(curve.bulge))
+        return made is not None and made.curve is curve and made.holds(np.array((x_px, y_px, r_px)))
 
 
 def _curve(lens: Lens, place: Array, sectors: int) -> tuple[Curve, float]:

@@ -94,7 +94,7 @@ def _outline(
     view: View | None = None,
     limb: LimbChoice | None = None,
 ) -> Outline:
-    first = first_circle(image, guess, noise, reach_px)
+    first = first_circle(image, guess, noise, reach_px, view)
     if first is None:
         return Missed("no circle of edges near the guess")
     return _fitted(image, first, noise, least_coverage, view, limb)

@@ -11,9 +11,11 @@ import numpy as np
 import numpy.typing as npt
 
 from trackerd.contract.model import Array, Image
+from trackerd.vision.curve import View
 from trackerd.vision.noise import NoiseModel
 
 Circle = tuple[float, float, float]  # x, y, r
+Floats = npt.NDArray[np.float32]
 
 RAYS = 64
 EDGES = 3  # the strongest edges that a ray may offer
@@ -40,17 +42,30 @@ class Edges:
     there: npt.NDArray[np.bool_]
 
 
-def first_circle(image: Image, guess: Circle, noise: NoiseModel, reach_px: float = REACH_PX) -> Circle | None:
-    """Circle (x, y, r) near a guess, by edges within r (1 ± 0.2) ± reach of its centre. None: too few rays agree."""
-    edges = edges_on_rays(image, guess, noise, reach_px)
+def first_circle(
+    image: Image, guess: Circle, noise: NoiseModel, reach_px: float = REACH_PX, view: View | None = None
+) -> Circle | None:
+    """Circle (x, y, r) near a guess, by edges within r (1 ± 0.2) ± reach of its centre. None: too few rays agree.
+
+    With a view the edges are brought from the sphere's outline to the circle that has its centre and r.
+    """
+    edges = edges_on_rays(image, guess, noise, reach_px, None if view is None else _bulge(view, guess))
     if int(edges.there[:, 0].sum()) < ENOUGH_RAYS:
         return None
     best = _most_agreed(edges, guess[2], reach_px)
     return None if best is None else _refined(edges, best)
 
 
-def edges_on_rays(image: Image, guess: Circle, noise: NoiseModel, reach_px: float) -> Edges:
-    """The edges of each ray, strongest first."""
+def _bulge(view: View, circle: Circle) -> Floats | None:
+    """By how much the outline's radius exceeds r on each ray, (RAYS, 1)."""
+    try:
+        return view.curve(*circle, RAYS).bulge[:, 0, None].astype(np.float32)
+    except ValueError:  # the lens shows no sphere there: the fit will say so
+        return None
+
+
+def edges_on_rays(image: Image, guess: Circle, noise: NoiseModel, reach_px: float, bulge_px: Floats | None = None) -> Edges:
+    """The edges of each ray, strongest first; nearer by the bulge (RAYS, 1) of the outline that is looked for."""
     x, y, r = guess
     nearest = max(1.0, (1.0 - REACH_RATIO) * r - reach_px)
     radii = np.arange(nearest, (1.0 + REACH_RATIO) * r + reach_px + 1.0, dtype=np.float32)
@@ -62,7 +77,7 @@ def edges_on_rays(image: Image, guess: Circle, noise: NoiseModel, reach_px: floa
     strength = np.abs(cv2.filter2D(level, -1, _THREE_AGAINST_THREE, borderType=cv2.BORDER_REPLICATE))
     if outside.any():
         strength[outside] = 0.0
-    return _peaks(strength, radii, guess, WEAKEST_SIGMA * noise.sigma_dn(float(level.mean())))
+    return _peaks(strength, radii, guess, WEAKEST_SIGMA * noise.sigma_dn(float(level.mean())), bulge_px)
 
 
 def _sample(image: Image, map_x: npt.NDArray[np.float32], map_y: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
@@ -75,7 +90,7 @@ def _sample(image: Image, map_x: npt.NDArray[np.float32], map_y: npt.NDArray[np.
     return np.asarray(level, np.float32)
 
 
-def _peaks(strength: npt.NDArray[np.float32], radii: npt.NDArray[np.float32], guess: Circle, floor_dn: float) -> Edges:
+def _peaks(strength: Floats, radii: Floats, guess: Circle, floor_dn: float, bulge_px: Floats | None) -> Edges:
     middle = strength[:, 1:-1]
     least = np.maximum(WEAKEST * strength.max(axis=1, keepdims=True), np.float32(floor_dn))
     peak = np.where((middle >= strength[:, :-2]) & (middle > strength[:, 2:]) & (middle > least), middle, np.float32(0.0))
@@ -88,6 +103,8 @@ def _peaks(strength: npt.NDArray[np.float32], radii: npt.NDArray[np.float32], gu
         a, b, c = strength[rows, k], strength[rows, k + 1], strength[rows, k + 2]
         radius[:, n] = radii[k + 1] + 0.5 * (a - c) / np.minimum(a - 2.0 * b + c, np.float32(-1e-6))
         peak[rows, k] = 0.0
+    if bulge_px is not None:
+        radius -= bulge_px
     x, y, _ = guess
     return Edges(np.float32(x) + _COS[:, None] * radius, np.float32(y) + _SIN[:, None] * radius, there)
 
