@@ -4,6 +4,8 @@ The term costs some noise of the radius, and time; without it a lamp from one si
 darkened rim makes the radius small. Switching from frame to frame would let both errors flicker.
 """
 
+from math import inf
+
 import numpy as np
 
 from trackerd.vision.convergence import CircleFit
@@ -18,7 +20,7 @@ AT_MOST = 3.0  # of one answer, in units of NEEDED: one odd picture does not dec
 ON, OFF = 1.3, 0.5  # mean evidence in these units: hysteresis
 
 
-def evidence(limbed: CircleFit | None) -> float:
+def evidence(limbed: CircleFit | None, flat: CircleFit | None) -> float:
     """Wald statistic of the limb term; 0 where the picture cannot tell.
 
     A smear is no Gaussian blur, and the term would fit the difference: there only a limb that explains the smear away counts.
@@ -26,6 +28,8 @@ def evidence(limbed: CircleFit | None) -> float:
     """
     if limbed is None or not limbed.settled or limbed.clipped > MOST_CLIPPED:
         return 0.0
+    if flat is None or (len(limbed.blur_px2) < len(flat.blur_px2) and limbed.chi2 < flat.chi2):
+        return inf  # what looked like a smear, or like nothing, is a sharp edge under a lamp
     if anisotropy(limbed) > SMEARED:
         return 0.0
     contrast_dn = float(np.median(np.abs(limbed.sectors.contrast_dn)))

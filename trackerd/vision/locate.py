@@ -108,11 +108,13 @@ def _fitted(
         choice.count()
         return _verified(fit_circle(image, start, noise, view, choice.used), noise, least_coverage)
     flat = fit_circle(image, start, noise, view)
-    limbed = fit_circle(image, start if flat is None else (flat.x_px, flat.y_px, flat.r_px), noise, view, limb=True)
-    plain, shaded = (_verified(fit, noise, least_coverage) for fit in (flat, limbed))
+    plain = _verified(flat, noise, least_coverage)
+    near = (flat.x_px, flat.y_px, flat.r_px) if flat is not None and isinstance(plain, Found) else start
+    limbed = fit_circle(image, near, noise, view, limb=True)
+    shaded = _verified(limbed, noise, least_coverage)
     if isinstance(plain, Missed) and isinstance(shaded, Missed):
         return plain
-    choice.learn(evidence(limbed))
+    choice.learn(evidence(limbed, flat))
     return shaded if choice.used else plain
 
 
