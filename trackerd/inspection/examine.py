@@ -91,7 +91,7 @@ def edges(fit: CircleFit, noise: NoiseModel) -> Edges:
         angle,
         outline_px,
         outline_px + fit.sectors.offset_px[:, None] * away,
-        edge_sectors(fit.sectors, noise),
+        edge_sectors(fit.lit_sectors, noise),
         fit.weight / max(float(fit.weight.max()), 1e-9),
         np.asarray(1.0 / np.sqrt(fit.sectors.information), np.float64),
     )
@@ -107,7 +107,7 @@ def profile(examination: Examination) -> Profile | None:
     seen = gather(image, pixels, column, row)
     distance = np.hypot(pixels.dx + column - fit.x_px, pixels.dy + row - fit.y_px)
     distance = distance - np.hypot(*(fit.outline_px - (fit.x_px, fit.y_px)).T)[:, None]
-    kept = np.broadcast_to(edge_sectors(fit.sectors, examination.noise)[:, None], distance.shape)
+    kept = np.broadcast_to(edge_sectors(fit.lit_sectors, examination.noise)[:, None], distance.shape)
     real = seen.weight > 0.0
     reach = float(ceil(np.abs(distance[real]).max(initial=1.0)))
     along = np.linspace(-reach, reach, 400)

@@ -1,7 +1,7 @@
 """What both kernels of the circle fit share: their rules, the profile of an edge, and what comes out."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import erfc, exp, pi, sqrt
 from typing import NamedTuple, TypeAlias
 
@@ -117,6 +117,17 @@ class CircleFit:
     clipped: float  # share of the ring's pixels that are saturated
     settled: bool
     curve: Curve
+
+    @property
+    def lit_sectors(self) -> Sectors:
+        """The sectors, with the light that the lamp sheds on the rim in their levels."""
+        if len(self.limb_dn) == 0:
+            return self.sectors
+        middle = angles(len(self.weight))
+        rim_dn = np.maximum(self.limb_dn[0] * np.cos(middle) + self.limb_dn[1] * np.sin(middle), 0.0)
+        return replace(
+            self.sectors, contrast_dn=self.sectors.contrast_dn + rim_dn, level_dn=self.sectors.level_dn + 0.5 * rim_dn
+        )
 
     @property
     def outline_px(self) -> Array:

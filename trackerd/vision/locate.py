@@ -109,8 +109,7 @@ def _fitted(
         return _verified(fit_circle(image, start, noise, view, choice.used), noise, least_coverage)
     flat = fit_circle(image, start, noise, view)
     plain = _verified(flat, noise, least_coverage)
-    near = (flat.x_px, flat.y_px, flat.r_px) if flat is not None and isinstance(plain, Found) else start
-    limbed = fit_circle(image, near, noise, view, limb=True)
+    limbed = fit_circle(image, start, noise, view, limb=True)  # not from the flat one: under a lamp that may be far off
     shaded = _verified(limbed, noise, least_coverage)
     if isinstance(plain, Missed) and isinstance(shaded, Missed):
         return plain

@@ -38,11 +38,12 @@ def verified(fit: CircleFit, noise: NoiseModel, least_coverage: float) -> Outlin
         return Missed("the circle fit did not settle")
     if fit.sigma_px <= SHARPEST_PX:
         return Missed("the edge is sharper than pixels can show: it is no picture of a ball")
-    good = edge_sectors(fit.sectors, noise)
+    sectors = fit.lit_sectors
+    good = edge_sectors(sectors, noise)
     coverage = float(np.count_nonzero(good) / len(fit.weight))
     if coverage < least_coverage:
         return Missed(f"only {100 * coverage:.0f} % of the outline carry an edge ({100 * least_coverage:.0f} % needed)")
-    corner = corners(fit, edge_sectors(fit.sectors, noise, farthest_px=inf))
+    corner = corners(fit, edge_sectors(sectors, noise, farthest_px=inf))
     if corner is not None:
         return Missed(corner)
     if not all(0.0 < variance < inf for variance in fit.cov_px2.diagonal().tolist()):
@@ -50,7 +51,7 @@ def verified(fit: CircleFit, noise: NoiseModel, least_coverage: float) -> Outlin
     weight = float(fit.weight.sum())
     chi2 = float(fit.sectors.chi2 @ fit.weight) / weight if weight > 0.0 else 0.0
     growth, why = scatter(fit)
-    contrast, middle = float(np.median(fit.sectors.contrast_dn[good])), float(np.median(fit.sectors.level_dn[good]))
+    contrast, middle = float(np.median(sectors.contrast_dn[good])), float(np.median(sectors.level_dn[good]))
     return Found(
         fit.x_px,
         fit.y_px,
