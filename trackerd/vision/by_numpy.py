@@ -218,7 +218,8 @@ def _tie_end(
         centre += common_part[0] + middle @ common_part[1:]
         gradient = common_part[1:]
     else:
-        weight, firmness, gradient = seeing / spread_dn**2, RULES.firmest, np.zeros(2)
+        weight = seeing / (spread_dn**2 * (1.0 + ((value - centre) / (RULES.doubted * spread_dn)) ** 2))
+        firmness, gradient = RULES.firmest, np.zeros(2)
     row = np.zeros(normal.shape[:2])
     row[:, :2], row[:, common], row[:, -1] = towards, -1.0, centre - taken_at
     normal += weight[:, None, None] * row[:, :, None] * row[:, None, :]
@@ -439,7 +440,7 @@ def _robust_step(reduced: Array, sectors: Sectors, seen: _Seen, shape: _Shape, t
     weight = np.maximum(1.0 - (normalised * (1.0 / (RULES.tukey * scale))) ** 2, 0.0) ** 2
     own = np.minimum(1.0, poor / np.maximum(sectors.chi2, 1e-6)) ** 2
     fair = np.minimum(own, np.minimum(np.roll(own, 1), np.roll(own, -1)))  # what spoils one spreads into its neighbours
-    weight *= fair * telling
+    weight *= fair * telling * _plain_skin(sectors, telling)
     towards = _towards(seen, shape)
     k = towards.shape[1]
     weighted = towards.transpose(0, 2, 1) * weight[:, None, None]
@@ -454,6 +455,17 @@ def _robust_step(reduced: Array, sectors: Sectors, seen: _Seen, shape: _Shape, t
             right[first + n] -= firmness * gradient[n]
     inverse = np.linalg.inv(hessian)
     return _Step(np.asarray(inverse @ right, np.float64), inverse, weight, towards)
+
+
+def _plain_skin(sectors: Sectors, telling: npt.NDArray[np.bool_]) -> Array:
+    """0 for the sectors in or beside which the ball has another level than elsewhere: a mirrored lamp, something in front."""
+    inside = sectors.level_dn + 0.5 * sectors.contrast_dn
+    away = np.abs(inside - np.median(inside[telling]))
+    spot = telling & (away > RULES.spot * (1.4826 * np.median(away[telling]) + RULES.least_spot_dn))
+    near = spot.copy()
+    for n in range(1, int(RULES.beside_spot) + 1):
+        near |= np.roll(spot, n) | np.roll(spot, -n)
+    return np.where(near, 0.0, 1.0)
 
 
 def _towards(seen: _Seen, shape: _Shape) -> Array:

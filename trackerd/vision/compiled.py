@@ -322,7 +322,8 @@ def _tie(normal: Array, levels: Array, middle: Array, ambient_spread_dn: float, 
             ties[1, 0] = rules.firmest
             common_dn = _median(value[1], seeing, scratch)
             for s in range(sectors):
-                firm[s], centre[s] = 1.0 / ambient_spread_dn**2 if seeing[s] else 0.0, common_dn
+                off = (value[1, s] - common_dn) / (rules.doubted * ambient_spread_dn)
+                firm[s], centre[s] = 1.0 / (ambient_spread_dn**2 * (1.0 + off**2)) if seeing[s] else 0.0, common_dn
         else:
             ties[end, 0], ties[end, 1], ties[end, 2] = _firmness(value[end], variance[end], seeing, middle, firm, centre, rules)
         common = last - 2 + end
@@ -359,7 +360,26 @@ def _weigh(said: Array, relative: bool, rules: Rules) -> bool:
         worst = max(said[4, s - 1], said[4, s], said[4, (s + 1) % sectors])  # what spoils one spreads into its neighbours
         weight = max(1.0 - normalised**2, 0.0) ** 2 * min(1.0, poor / max(worst, 1e-6)) ** 2
         said[5, s] = weight if said[3, s] > 1.0 else 0.0
+    _leave_out_spots(said, rules)
     return True
+
+
+@_part
+def _leave_out_spots(said: Array, rules: Rules) -> None:
+    """No weight for the sectors in or beside which the ball has another level than elsewhere: a mirrored lamp, something in
+    front."""
+    sectors, beside = said.shape[1], int(rules.beside_spot)
+    telling, away, scratch = np.empty(sectors, np.bool_), np.empty(sectors), np.empty(sectors)
+    for s in range(sectors):
+        telling[s], away[s] = said[3, s] > 1.0, said[1, s] + 0.5 * said[0, s]
+    middle_dn = _median(away, telling, scratch)
+    for s in range(sectors):
+        away[s] = abs(away[s] - middle_dn)
+    most = rules.spot * (1.4826 * _median(away, telling, scratch) + rules.least_spot_dn)
+    for s in range(sectors):
+        if telling[s] and away[s] > most:
+            for n in range(-beside, beside + 1):
+                said[5, (s + n) % sectors] = 0.0
 
 
 @_part

@@ -40,6 +40,10 @@ class Rules(NamedTuple):
     lamp_settled: float = 0.1  # of settled_px: it creeps where the light only grazes the rim
     ambient_spread_dn: float = 0.5  # of the light that comes from everywhere, round the rim of a ball that a lamp shines on
     ambient_spread: float = 0.05  # and this share of the lamp's
+    doubted: float = 2.0  # of these spreads: from there on it is rather something else
+    spot: float = 4.0  # typical deviations of the levels inside, from which one is a spot's
+    least_spot_dn: float = 0.5  # added to those
+    beside_spot: float = 4.0  # sectors into which it may shine
     dawn_end: float = DAWN_END
     dawn_steps: float = float(DAWN_STEPS)
     table_end: float = TABLE_END

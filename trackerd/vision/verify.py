@@ -21,6 +21,8 @@ SHARPEST_PX = 0.32  # a pixel alone blurs by 0.29 px, and every lens by more tha
 POOR_CHI2 = 12.0  # a sector that looks like no edge at all
 
 
+MOST_LEFT_OUT = 0.03  # of the outline
+BRIGHT_RIM = 0.25  # of the blur: by this a ball's glow at its rim makes the radius small
 CORNERS = (3, 4, 5, 6)
 SURE_PX = 0.1  # no edge counts as surer than this: a corner is larger, what a spot does to a few sectors is not
 AMPLITUDE_SIGMAS, LEAST_AMPLITUDE_PX, LEAST_SMEARED_PX = 4.5, 0.1, 0.25
@@ -51,12 +53,15 @@ def verified(fit: CircleFit, noise: NoiseModel, least_coverage: float) -> Outlin
     weight = float(fit.weight.sum())
     chi2 = float(fit.sectors.chi2 @ fit.weight) / weight if weight > 0.0 else 0.0
     growth, why = scatter(fit)
+    cov_px2 = fit.cov_px2 * growth
+    if len(fit.limb_dn) > 0:
+        cov_px2, why = _under_lamps(fit, cov_px2, why)
     contrast, middle = float(np.median(sectors.contrast_dn[good])), float(np.median(sectors.level_dn[good]))
     return Found(
         fit.x_px,
         fit.y_px,
         fit.r_px,
-        fit.cov_px2 * growth,
+        cov_px2,
         coverage,
         chi2,
         fit.clipped,
@@ -65,6 +70,17 @@ def verified(fit: CircleFit, noise: NoiseModel, least_coverage: float) -> Outlin
         outside_dn=middle - 0.5 * contrast,
         inflated=why,
     )
+
+
+def _under_lamps(fit: CircleFit, cov_px2: Array, why: str) -> tuple[Array, str]:
+    """The covariance where the light is not only one lamp's: spots at the rim, or a rim that is brighter than the ball."""
+    left_out = np.count_nonzero((fit.weight == 0.0) & (fit.sectors.information > 1.0))
+    if left_out > MOST_LEFT_OUT * len(fit.weight):
+        cov_px2, why = 2.0 * cov_px2, why or "spots at the rim"
+    if fit.limb_dn[2] < 0.0:
+        cov_px2 = cov_px2 + np.diag((0.0, 0.0, (BRIGHT_RIM * fit.sigma_px) ** 2))
+        why = why or "the rim is brighter than the ball: the radius is uncertain"
+    return cov_px2, why
 
 
 def corners(fit: CircleFit, good: Flags) -> str | None:
