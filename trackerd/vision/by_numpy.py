@@ -420,10 +420,13 @@ def _eliminate_levels(normal: Array, levels: Array, saturated_dn: float) -> tupl
 def _sectors(reduced: Array, levels: Array, seen: _Seen) -> Sectors:
     information = np.maximum(reduced[:, 0, 0], 1e-9)
     offset = np.minimum(np.maximum(reduced[:, 0, -1] / information, -2.0), 2.0)
-    freedom = np.maximum(seen.weight.sum(axis=1) - 3.0, 1.0)
-    chi2 = np.maximum(reduced[:, -1, -1] - reduced[:, 0, -1] ** 2 / information, 0.0) / freedom
+    chi2 = np.maximum(reduced[:, -1, -1] - reduced[:, 0, -1] ** 2 / information, 0.0) / _freedom(seen)
     contrast = levels[:, 1]
     return Sectors(contrast, levels[:, 0] + 0.5 * contrast, offset, information, chi2)
+
+
+def _freedom(seen: _Seen) -> Array:
+    return np.asarray(np.maximum(seen.weight.sum(axis=1) - 3.0, 1.0))
 
 
 def _robust_step(reduced: Array, sectors: Sectors, seen: _Seen, shape: _Shape, ties: Ties) -> _Step | None:
@@ -436,7 +439,8 @@ def _robust_step(reduced: Array, sectors: Sectors, seen: _Seen, shape: _Shape, t
     scale = max(1.0, 1.4826 * float(deviations[len(deviations) // 2]))
     ordered = np.sort(sectors.chi2[telling])
     free = len(shape.blur_px2) > 1 or len(shape.limb_dn) > 0
-    poor = RULES.poor_chi2 * max(1.0, float(ordered[3 * len(ordered) // 4]) if free else 1.0)
+    poor = max(1.0, float(ordered[3 * len(ordered) // 4])) if free else 1.0
+    poor = poor * (1.0 + RULES.poor_sigmas * np.sqrt(2.0 / _freedom(seen)))
     weight = np.maximum(1.0 - (normalised * (1.0 / (RULES.tukey * scale))) ** 2, 0.0) ** 2
     own = np.minimum(1.0, poor / np.maximum(sectors.chi2, 1e-6)) ** 2
     fair = np.minimum(own, np.minimum(np.roll(own, 1), np.roll(own, -1)))  # what spoils one spreads into its neighbours

@@ -341,7 +341,7 @@ def _tie(normal: Array, levels: Array, middle: Array, ambient_spread_dn: float, 
 
 
 @_part
-def _weigh(said: Array, relative: bool, rules: Rules) -> bool:
+def _weigh(said: Array, inside: Any, relative: bool, rules: Rules) -> bool:
     """Tukey's weights; False where too few sectors know where their edge is."""
     sectors = said.shape[1]
     deviations, chi2, told = np.empty(sectors), np.empty(sectors), 0
@@ -354,11 +354,14 @@ def _weigh(said: Array, relative: bool, rules: Rules) -> bool:
     _sort(deviations[:told])
     _sort(chi2[:told])
     scale = max(1.0, 1.4826 * deviations[told // 2])
-    poor = rules.poor_chi2 * (max(1.0, chi2[3 * told // 4]) if relative else 1.0)
+    poor, fair = max(1.0, chi2[3 * told // 4]) if relative else 1.0, np.empty(sectors)
+    for s in range(sectors):
+        most = poor * (1.0 + rules.poor_sigmas * sqrt(2.0 / max(inside[s] - 3.0, 1.0)))
+        fair[s] = min(1.0, most / max(said[4, s], 1e-6)) ** 2
     for s in range(sectors):
         normalised = said[2, s] * sqrt(said[3, s]) / (rules.tukey * scale)
-        worst = max(said[4, s - 1], said[4, s], said[4, (s + 1) % sectors])  # what spoils one spreads into its neighbours
-        weight = max(1.0 - normalised**2, 0.0) ** 2 * min(1.0, poor / max(worst, 1e-6)) ** 2
+        worst = min(fair[s - 1], fair[s], fair[(s + 1) % sectors])  # what spoils one spreads into its neighbours
+        weight = max(1.0 - normalised**2, 0.0) ** 2 * worst
         said[5, s] = weight if said[3, s] > 1.0 else 0.0
     _leave_out_spots(said, rules)
     return True
@@ -569,7 +572,7 @@ def _iterate(  # noqa: PLR0912
         for s in range(sectors):
             _eliminate_levels(normal[s], levels[s], reduced[s], coupling[s], sensor, rules)
             _say(said[:, s], levels[s], reduced[s], inside[s])
-        if not _weigh(said, blurs > 1 or limbs > 0, rules):
+        if not _weigh(said, inside, blurs > 1 or limbs > 0, rules):
             return False
         _solve(said, reduced, design, blur_design, middle, shape, blurs, limbs, lamp, ties, rules, both, delta, towards, column)
         if clipped:

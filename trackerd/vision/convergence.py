@@ -34,7 +34,7 @@ class Rules(NamedTuple):
     gradient_noise: float = 1.5  # of their common gradient: what of its square is put down to noise, in units of that
     firmest: float = 1e4  # DN^-2
     stands_out: float = 3.0  # a level farther from the others, in sigmas, is its own
-    poor_chi2: float = 1.4  # a sector that fits worse than this is played down
+    poor_sigmas: float = 2.0  # a sector whose chi2 is farther above 1 is played down
     farthest_below: float = 6.0  # sigmas: a saturated pixel whose model is farther below is no surer for that
     harmonic_steps: float = 5.0  # with a limb of three harmonics, before a lamp is sought that gives it
     lamp_settled: float = 0.1  # of settled_px: it creeps where the light only grazes the rim
