@@ -18,7 +18,7 @@ from trackerd.vision.convergence import Rules, Sensor
 COMMON = 6  # unknowns that the sectors' levels have in common: outside and inside, a mean and a gradient each
 
 _F = TypeVar("_F", bound=Callable[..., Any])
-_OPTIONS = {"nogil": True, "fastmath": False, "error_model": "numpy"}
+_OPTIONS: dict[str, Any] = {"nogil": True, "fastmath": {"reassoc", "contract", "nsz"}, "error_model": "numpy"}
 
 _part: Callable[[_F], _F] = numba.njit(**_OPTIONS)
 
@@ -119,13 +119,19 @@ def _weigh_pixel(level: float, model: float, profile: Array, sensor: Sensor, rul
 @_part
 def _add_pixels(
     normal: Array, seen: Any, shape: Array, sigma: float, cosine: float, sine: float, bulge: Any, curved: bool, ground: float,
-    levels: Array, first: bool, profile: Array, rules: Rules, sensor: Sensor,
+    levels: Array, first: bool, profile: Array, rules: Rules, sensor: Sensor, scratch: Array,
 ) -> None:  # fmt: skip
     """The sums of one sector without a limb term. `seen` (3, n) is place and grey value."""
     n, inverse, bend, r = seen.shape[1], 1.0 / sigma, sigma / (2.0 * shape[2]), shape[2]
-    scaled, edge, bell = np.empty(n), np.empty(n), np.empty(n)
+    scaled, edge, bell = scratch[0, :n], scratch[1, :n], scratch[2, :n]
+    if curved:
+        for k in range(n):
+            scaled[k] = _distance(seen[0, k] - shape[0], seen[1, k] - shape[1], r, cosine, sine, bulge, True) * inverse
+    else:
+        for k in range(n):
+            dx, dy = seen[0, k] - shape[0], seen[1, k] - shape[1]
+            scaled[k] = (sqrt(dx * dx + dy * dy) - r) * inverse
     for k in range(n):
-        scaled[k] = _distance(seen[0, k] - shape[0], seen[1, k] - shape[1], r, cosine, sine, bulge, curved) / sigma
         edge[k], bell[k] = _profile_at(scaled[k] + bend, profile, rules)
     if first:
         _plain_levels(seen[2], edge, levels, rules)
@@ -226,14 +232,39 @@ def _say(said: Array, levels: Array, reduced: Array, pixels: int) -> None:
 
 
 @_part
-def _sort(values: Array) -> None:
-    """In place, by insertion: a hundred values at most."""
-    for i in range(1, len(values)):
-        value, k = values[i], i
-        while k > 0 and values[k - 1] > value:
-            values[k] = values[k - 1]
-            k -= 1
-        values[k] = value
+def _select(values: Array, k: int) -> float:
+    """The k-th smallest; smaller ones end before it, larger ones behind (Hoare 1961). In place."""
+    low, high = 0, len(values) - 1
+    while low < high:
+        pivot, i, j = values[(low + high) // 2], low, high
+        while i <= j:
+            while values[i] < pivot:
+                i += 1
+            while values[j] > pivot:
+                j -= 1
+            if i <= j:
+                values[i], values[j] = values[j], values[i]
+                i, j = i + 1, j - 1
+        if k <= j:
+            high = j
+        elif k >= i:
+            low = i
+        else:
+            break
+    return float(values[k])
+
+
+@_part
+def _middle(values: Array) -> float:
+    """Median. In place."""
+    half = len(values) // 2
+    upper = _select(values, half)
+    if len(values) % 2:
+        return upper
+    lower = values[0]
+    for i in range(1, half):
+        lower = max(lower, values[i])
+    return 0.5 * (lower + upper)
 
 
 @_part
@@ -243,8 +274,7 @@ def _median(values: Array, kept: Any, scratch: Array) -> float:
         if kept[s]:
             scratch[n] = values[s]
             n += 1
-    _sort(scratch[:n])
-    return float(0.5 * (scratch[(n - 1) // 2] + scratch[n // 2]))
+    return _middle(scratch[:n])
 
 
 @_part
@@ -351,10 +381,8 @@ def _weigh(said: Array, inside: Any, relative: bool, rules: Rules) -> bool:
             told += 1
     if told < sectors // 3:
         return False
-    _sort(deviations[:told])
-    _sort(chi2[:told])
-    scale = max(1.0, 1.4826 * deviations[told // 2])
-    poor, fair = max(1.0, chi2[3 * told // 4]) if relative else 1.0, np.empty(sectors)
+    scale = max(1.0, 1.4826 * _select(deviations[:told], told // 2))
+    poor, fair = max(1.0, _select(chi2[:told], 3 * told // 4)) if relative else 1.0, np.empty(sectors)
     for s in range(sectors):
         most = poor * (1.0 + rules.poor_sigmas * sqrt(2.0 / max(inside[s] - 3.0, 1.0)))
         fair[s] = min(1.0, most / max(said[4, s], 1e-6)) ** 2
@@ -524,10 +552,7 @@ def _sum_up(
         widest = max(widest, _sigma(blur, blur_design, s, rules))
         for k in range(inside[s]):
             clipped += seen[2, s, k] >= sensor.saturated_dn
-    chi2 = said[4].copy()
-    _sort(chi2)
-    half = len(chi2) // 2  # sectors are even in number
-    sums[0], sums[1], sums[2] = clipped / max(pixels, 1), 0.5 * (chi2[half - 1] + chi2[half]), widest
+    sums[0], sums[1], sums[2] = clipped / max(pixels, 1), _middle(said[4].copy()), widest
 
 
 @_part
@@ -537,7 +562,7 @@ def _iterate(  # noqa: PLR0912
 ) -> bool:  # fmt: skip
     sectors, shape = len(inside), circle[:-4].copy()
     size, columns = len(shape) + COMMON, 9 if limbs else 7
-    ties, ground = np.zeros((2, 3)), np.zeros(2)
+    ties, ground, scratch = np.zeros((2, 3)), np.zeros(2), np.empty((3, seen.shape[2]))
     limb = shape[3 + blurs :]
     lamp = limbs > 0 and (limb[0] != 0.0 or limb[1] != 0.0 or limb[2] != 0.0)
     clipped = _is_clipped(seen, inside, sensor)
@@ -561,7 +586,7 @@ def _iterate(  # noqa: PLR0912
             else:
                 _add_pixels(
                     normal[s], pixels, shape, sigma, middle[s, 0], middle[s, 1], bulge[s], curved, slope, levels[s], first,
-                    profile, rules, sensor,
+                    profile, rules, sensor, scratch,
                 )  # fmt: skip
         first = False
         if n > 0:

@@ -13,7 +13,7 @@ from trackerd.vision.curve import Curve, angles
 from trackerd.vision.noise import NoiseModel
 
 SIGMA_RANGE_PX = (0.3, 6.0)
-TABLE_END, TABLE_STEPS = 8.0, 128  # of the edge profile, in units of the blur; between the steps a line: good to 2e-6
+TABLE_END, TABLE_STEPS = 8.0, 64  # of the edge profile, in units of the blur; between the steps a line: good to 2e-6
 DAWN_END, DAWN_STEPS = 3.0, 16  # of the table of the limb term; between its steps lines: good to 4e-4
 INTEGRAL_STEPS = 240
 

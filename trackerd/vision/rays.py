@@ -130,16 +130,27 @@ def _most_agreed(edges: Edges, r_px: float, reach_px: float) -> Circle | None:
     px, py = edges.x_px[_TRIPLE_RAYS, _TRIPLE_EDGES][usable], edges.y_px[_TRIPLE_RAYS, _TRIPLE_EDGES][usable]
     x, y, r = _through_three(px.astype(np.float64), py.astype(np.float64))
     fits = (r > (1.0 - 1.5 * REACH_RATIO) * r_px - reach_px) & (r < (1.0 + 1.5 * REACH_RATIO) * r_px + reach_px)
-    circles = np.column_stack((x, y, r))[fits].astype(np.float32)
+    circles = np.column_stack((x, y, r))[fits]
     if len(circles) == 0:
         return None
-    c = circles[:, :, None, None]
-    off = np.sqrt((edges.x_px - c[:, 0]) ** 2 + (edges.y_px - c[:, 1]) ** 2) - c[:, 2]
-    agreed = ((np.abs(off) < NEAR_PX) & edges.there).any(axis=2).sum(axis=1)
+    agreed = _agreed(edges, circles)
     best = int(agreed.argmax())
     if agreed[best] < ENOUGH_RAYS:
         return None
     return float(circles[best, 0]), float(circles[best, 1]), float(circles[best, 2])
+
+
+def _agreed(edges: Edges, circles: Array) -> npt.NDArray[np.intp]:
+    """How many rays have an edge near to each circle (m, 3), by |d^2 - r^2| < 2 r near: one product of matrices."""
+    x0, y0 = float(edges.x_px[0, 0]), float(edges.y_px[0, 0])  # near by, for the digits of single precision
+    px, py = (edges.x_px - np.float32(x0)).T.ravel(), (edges.y_px - np.float32(y0)).T.ravel()
+    x, y, r = circles[:, 0] - x0, circles[:, 1] - y0, circles[:, 2]
+    points = np.stack((px, py, np.ones_like(px), px * px + py * py))
+    terms = np.column_stack((-2.0 * x, -2.0 * y, x * x + y * y - r * r, np.ones(len(r)))).astype(np.float32)
+    near = np.abs(terms @ points) < (2.0 * NEAR_PX * r).astype(np.float32)[:, None]
+    near &= edges.there.T.ravel()
+    each = near.reshape(len(r), EDGES, RAYS)
+    return np.asarray(np.count_nonzero(each[:, 0] | each[:, 1] | each[:, 2], axis=1))
 
 
 def _through_three(px: Array, py: Array) -> tuple[Array, Array, Array]:

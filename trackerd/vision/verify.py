@@ -25,6 +25,7 @@ MOST_LEFT_OUT = 0.03  # of the outline
 BRIGHT_RIM = 0.25  # of the blur: by this a ball's glow at its rim makes the radius small
 CORNERS = (3, 4, 5, 6)
 SURE_PX = 0.1  # no edge counts as surer than this: a corner is larger, what a spot does to a few sectors is not
+SMOOTH_PX = 0.05  # rms: of an outline so round no corner is asked
 AMPLITUDE_SIGMAS, LEAST_AMPLITUDE_PX, LEAST_SMEARED_PX = 4.5, 0.1, 0.25
 WIDE_GAP, BESIDE = 0.12, 3  # share of the outline; sectors
 CORNER_SIGMAS, LEAST_CORNER_PX, CORNER_BLURS = 1.7, 0.08, 0.08  # typical distance of the edges from the circle
@@ -93,7 +94,7 @@ def corners(fit: CircleFit, good: Flags) -> str | None:
     sigmas = 1.4826 * float(np.median(away * np.sqrt(fit.sectors.information[good])))
     if sigmas > CORNER_SIGMAS and scatter_px > max(LEAST_CORNER_PX, CORNER_BLURS * fit.sigma_px):
         return f"the edges are {scatter_px:.2f} px off any circle, {sigmas:.1f} times their noise"
-    return _polygon(fit, good)
+    return None if float(away @ away) < SMOOTH_PX**2 * len(away) else _polygon(fit, good)
 
 
 def _polygon(fit: CircleFit, good: Flags) -> str | None:
