@@ -439,8 +439,8 @@ def _robust_step(reduced: Array, sectors: Sectors, seen: _Seen, shape: _Shape, t
     scale = max(1.0, 1.4826 * float(deviations[len(deviations) // 2]))
     ordered = np.sort(sectors.chi2[telling])
     free = len(shape.blur_px2) > 1 or len(shape.limb_dn) > 0
-    poor = max(1.0, float(ordered[3 * len(ordered) // 4])) if free else 1.0
-    poor = poor * (1.0 + RULES.poor_sigmas * np.sqrt(2.0 / _freedom(seen)))
+    usual = max(1.0, float(ordered[3 * len(ordered) // 4])) if free else 1.0
+    poor = usual * (1.0 + RULES.poor_sigmas * np.sqrt(2.0 / _freedom(seen)))
     weight = np.maximum(1.0 - (normalised * (1.0 / (RULES.tukey * scale))) ** 2, 0.0) ** 2
     own = np.minimum(1.0, poor / np.maximum(sectors.chi2, 1e-6)) ** 2
     fair = np.minimum(own, np.minimum(np.roll(own, 1), np.roll(own, -1)))  # what spoils one spreads into its neighbours

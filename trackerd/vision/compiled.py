@@ -264,7 +264,7 @@ def _middle(values: Array) -> float:
     lower = values[0]
     for i in range(1, half):
         lower = max(lower, values[i])
-    return 0.5 * (lower + upper)
+    return float(0.5 * (lower + upper))
 
 
 @_part
