@@ -8,8 +8,10 @@ import pytest
 from vision_pictures import NOISE, Ball
 
 from trackerd.contract.model import Missed
-from trackerd.vision import by_numpy, kernels
+from trackerd.geometry.lens import Lens
+from trackerd.vision import by_numpy, kernels, rays
 from trackerd.vision.convergence import CircleFit, Converge
+from trackerd.vision.curve import View
 from trackerd.vision.fit import fit_circle
 from trackerd.vision.noise import NoiseModel
 from trackerd.vision.verify import LEAST_COVERAGE, edge_sectors, verified
@@ -104,6 +106,29 @@ def test_both_kernels_find_the_same_circle(name: str, compiled: Converge) -> Non
         )
 
 
+@pytest.mark.parametrize("name", CASES)
+def test_both_kernels_see_the_same_first_circle(name: str, compiled: Converge) -> None:
+    from trackerd.vision import by_numba
+
+    ball, picture, noise = CASES[name]
+    for seed, (x, y, r) in starts(ball):
+        image, guess = picture(seed), (x + 3.0, y - 2.0, 1.03 * r)
+        one, other = rays.first_circle(image, guess, noise), by_numba.first_circle(image, guess, noise)
+        assert (one is None) is (other is None)
+        assert one is None or other == pytest.approx(one, abs=1e-4)  # single precision; the fit takes it to the same end
+
+
+def test_both_kernels_see_the_same_first_circle_through_a_wide_lens(compiled: Converge) -> None:
+    from trackerd.vision import by_numba
+
+    view = View(Lens((640, 480), 600.0, 600.0, 60.0, 40.0, (-0.1, 0.0, 0.0, 0.0, 0.0)))
+    ball = Ball()
+    guess = (ball.x_px + 2.0, ball.y_px + 1.0, ball.r_px)
+    one, other = (first(ball.noisy(1), guess, NOISE, view=view) for first in (rays.first_circle, by_numba.first_circle))
+    assert one is not None
+    assert other == pytest.approx(one, abs=1e-4)
+
+
 @pytest.mark.parametrize("pixel", [np.uint8, np.uint16])
 @pytest.mark.parametrize("fill", ["flat", "black", "white", "random"])
 def test_both_kernels_refuse_the_same_pictures(fill: str, pixel: type, compiled: Converge) -> None:
@@ -147,8 +172,8 @@ def test_without_numba_the_reference_is_used(monkeypatch: pytest.MonkeyPatch) ->
     for name in ("by_numba", "compiled"):
         monkeypatch.delitem(sys.modules, f"trackerd.vision.{name}", raising=False)
     monkeypatch.delattr("trackerd.vision.by_numba", raising=False)
-    kernels.converge.cache_clear()
+    kernels._compiled.cache_clear()
     try:
         assert kernels.warm_up() == kernels.name() == "numpy"
     finally:
-        kernels.converge.cache_clear()
+        kernels._compiled.cache_clear()

@@ -4,17 +4,21 @@ Needs numba (extra `fast`). Importing this module loads the machine code from nu
 once per installation). Signatures are fixed, so nothing is ever compiled later.
 """
 
+from math import ceil
 from typing import Any
 
 import numba
 import numpy as np
 
 from trackerd.contract.model import Image
+from trackerd.vision import rays
 from trackerd.vision.annulus import Ring
 from trackerd.vision.compiled import COMMON, fit
+from trackerd.vision.compiled_rays import RayRules, first
 from trackerd.vision.convergence import DAWN, PROFILE, RULES, CircleFit, Rules, Sectors, Sensor, Start
-from trackerd.vision.curve import Curve
+from trackerd.vision.curve import Curve, View, angles
 from trackerd.vision.noise import NoiseModel
+from trackerd.vision.rays import Circle
 
 
 def _compile(pixel: Any) -> None:
@@ -28,9 +32,44 @@ def _compile(pixel: Any) -> None:
     ))  # fmt: skip
 
 
+def _compile_first(pixel: Any) -> None:
+    table = numba.types.Array(numba.float64, 2, "C", readonly=True)
+    drawn = numba.types.Array(numba.int64, 2, "C", readonly=True)
+    first.compile((  # type: ignore[attr-defined]
+        numba.types.Array(pixel, 2, "A", readonly=True, aligned=False), numba.float64, numba.float64, table,
+        numba.types.Array(numba.float64, 1, "C", readonly=True), drawn, drawn,
+        numba.types.NamedUniTuple(numba.float64, len(RayRules._fields), RayRules), numba.float64[::1],
+    ))  # fmt: skip
+
+
 for _pixel in (numba.uint8, numba.uint16):
     _compile(_pixel)
-fit.disable_compile()  # type: ignore[attr-defined]
+    _compile_first(_pixel)
+for _function in (fit, first):
+    _function.disable_compile()  # type: ignore[attr-defined]
+
+WAYS = np.column_stack((np.cos(angles(rays.RAYS)), np.sin(angles(rays.RAYS))))
+NO_BULGE = np.zeros(rays.RAYS)
+
+
+def first_circle(
+    image: Image, guess: Circle, noise: NoiseModel, reach_px: float = rays.REACH_PX, view: View | None = None
+) -> Circle | None:
+    """As rays.first_circle."""
+    x, y, r = guess
+    least, most = rays.radius_range(r, reach_px)
+    nearest = max(1.0, (1.0 - rays.REACH_RATIO) * r - reach_px)
+    samples = ceil((1.0 + rays.REACH_RATIO) * r + reach_px + 1.0 - nearest)
+    rules = RayRules(
+        nearest, float(samples), 1.0 / noise.gain_e_per_dn, noise.floor_dn2, rays.WEAKEST, rays.WEAKEST_SIGMA, least, most,
+        rays.NEAR_PX, rays.TUKEY_PX, float(rays.ENOUGH_RAYS),
+    )  # fmt: skip
+    bulge = None if view is None else rays.bulge_of(view, guess)
+    circle = np.empty(3)
+    found = first(
+        image, x, y, WAYS, NO_BULGE if bulge is None else bulge, rays.TRIPLE_RAYS, rays.TRIPLE_EDGES, rules, circle
+    )  # fmt: skip
+    return (float(circle[0]), float(circle[1]), float(circle[2])) if found else None
 
 
 def converge(image: Image, pixels: Ring, curve: Curve, start: Start, noise: NoiseModel) -> CircleFit | None:

@@ -13,10 +13,11 @@ import numpy as np
 from trackerd.contract.model import Found, Image, Missed, Outline
 from trackerd.vision.curve import View
 from trackerd.vision.everywhere import ITSELF_RADII, everywhere
+from trackerd.vision.kernels import first_circle
 from trackerd.vision.locate import locate
 from trackerd.vision.noise import NoiseModel
 from trackerd.vision.others import DOUBTED_NEW, Others, Place
-from trackerd.vision.rays import Circle, edges_on_rays, first_circle
+from trackerd.vision.rays import Circle, edges_on_rays
 
 ALIKE = 0.3  # of the target's radius: other balls that are looked for
 MERGED_RADII, MERGED_PX = 0.5, 16.0  # nearer to each other than this, one outline may be either's

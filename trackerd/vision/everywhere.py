@@ -7,9 +7,10 @@ import numpy as np
 
 from trackerd.contract.model import Found, Image
 from trackerd.vision.curve import View
+from trackerd.vision.kernels import first_circle
 from trackerd.vision.locate import locate
 from trackerd.vision.noise import NoiseModel
-from trackerd.vision.rays import Circle, edges_on_rays, first_circle
+from trackerd.vision.rays import Circle, edges_on_rays
 from trackerd.vision.search import Pyramid, circles_in, same_seed
 from trackerd.vision.verify import LEAST_COVERAGE_SEARCHED
 

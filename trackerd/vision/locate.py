@@ -8,9 +8,10 @@ from trackerd.contract.model import Found, Image, Missed, Outline
 from trackerd.vision.convergence import CircleFit
 from trackerd.vision.curve import View
 from trackerd.vision.fit import fit_circle
+from trackerd.vision.kernels import first_circle
 from trackerd.vision.limb import LimbChoice, evidence
 from trackerd.vision.noise import NoiseModel
-from trackerd.vision.rays import REACH_PX, Circle, first_circle
+from trackerd.vision.rays import REACH_PX, Circle
 from trackerd.vision.search import candidates
 from trackerd.vision.verify import LEAST_COVERAGE, LEAST_COVERAGE_SEARCHED, verified
 

@@ -49,17 +49,18 @@ def first_circle(
 
     With a view the edges are brought from the sphere's outline to the circle that has its centre and r.
     """
-    edges = edges_on_rays(image, guess, noise, reach_px, None if view is None else _bulge(view, guess))
+    bulge = None if view is None else bulge_of(view, guess)
+    edges = edges_on_rays(image, guess, noise, reach_px, None if bulge is None else bulge[:, None].astype(np.float32))
     if int(edges.there[:, 0].sum()) < ENOUGH_RAYS:
         return None
     best = _most_agreed(edges, guess[2], reach_px)
     return None if best is None else _refined(edges, best)
 
 
-def _bulge(view: View, circle: Circle) -> Floats | None:
-    """By how much the outline's radius exceeds r on each ray, (RAYS, 1)."""
+def bulge_of(view: View, circle: Circle) -> Array | None:
+    """By how much the outline's radius exceeds r on each ray, (RAYS,)."""
     try:
-        return view.curve(*circle, RAYS).bulge[:, 0, None].astype(np.float32)
+        return np.ascontiguousarray(view.curve(*circle, RAYS).bulge[:, 0])
     except ValueError:  # the lens shows no sphere there: the fit will say so
         return None
 
@@ -118,18 +119,24 @@ def _draw_triples() -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
         (first, first + apart + random.integers(-8, 9, TRIPLES), first - apart + random.integers(-8, 9, TRIPLES))
     )
     which = random.choice(EDGES, (TRIPLES, 3), p=(0.7, 0.2, 0.1))
-    return rays % RAYS, which
+    return (rays % RAYS).astype(np.int64), which.astype(np.int64)
 
 
-_TRIPLE_RAYS, _TRIPLE_EDGES = _draw_triples()
+TRIPLE_RAYS, TRIPLE_EDGES = _draw_triples()
+
+
+def radius_range(r_px: float, reach_px: float) -> tuple[float, float]:
+    """Of the circles that may be meant by a guess."""
+    return (1.0 - 1.5 * REACH_RATIO) * r_px - reach_px, (1.0 + 1.5 * REACH_RATIO) * r_px + reach_px
 
 
 def _most_agreed(edges: Edges, r_px: float, reach_px: float) -> Circle | None:
     """The circle through three edges that most rays have an edge near to."""
-    usable = edges.there[_TRIPLE_RAYS, _TRIPLE_EDGES].all(axis=1)
-    px, py = edges.x_px[_TRIPLE_RAYS, _TRIPLE_EDGES][usable], edges.y_px[_TRIPLE_RAYS, _TRIPLE_EDGES][usable]
+    usable = edges.there[TRIPLE_RAYS, TRIPLE_EDGES].all(axis=1)
+    px, py = edges.x_px[TRIPLE_RAYS, TRIPLE_EDGES][usable], edges.y_px[TRIPLE_RAYS, TRIPLE_EDGES][usable]
     x, y, r = _through_three(px.astype(np.float64), py.astype(np.float64))
-    fits = (r > (1.0 - 1.5 * REACH_RATIO) * r_px - reach_px) & (r < (1.0 + 1.5 * REACH_RATIO) * r_px + reach_px)
+    least, most = radius_range(r_px, reach_px)
+    fits = (r > least) & (r < most)
     circles = np.column_stack((x, y, r))[fits]
     if len(circles) == 0:
         return None
