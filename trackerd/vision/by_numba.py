@@ -45,8 +45,8 @@ def _compile_first(pixel: Any) -> None:
 for _pixel in (numba.uint8, numba.uint16):
     _compile(_pixel)
     _compile_first(_pixel)
-for _function in (fit, first):
-    _function.disable_compile()  # type: ignore[attr-defined]
+fit.disable_compile()  # type: ignore[attr-defined]
+first.disable_compile()  # type: ignore[attr-defined]
 
 WAYS = np.column_stack((np.cos(angles(rays.RAYS)), np.sin(angles(rays.RAYS))))
 NO_BULGE = np.zeros(rays.RAYS)

@@ -191,4 +191,4 @@ def first(
     for _ in range(2):
         if not _refine(points, count, circle, rules):
             return False
-    return circle[2] > 1.0
+    return bool(circle[2] > 1.0)
