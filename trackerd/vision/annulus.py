@@ -53,7 +53,7 @@ def ring(radius_px: int, inside_px: int, outside_px: int, bulge_px: int = 0) -> 
     column, row = column[kept], row[kept]
     sectors = sectors_of(radius_px)
     turn = np.arctan2(row, column) / (2.0 * pi) * sectors
-    order, weight = _fill(np.floor(turn).astype(np.intp) % sectors, sectors)
+    order, weight = _fill(np.floor(turn).astype(np.intp) % sectors, distance[kept], sectors)
     column, row = column[order], row[order]
     middle = (np.arange(sectors) + 0.5) * (2.0 * pi / sectors)
     return Ring(
@@ -94,9 +94,9 @@ def gather(image: Image, pixels: Ring, column: int, row: int) -> Gathered:
     return Gathered(level, pixels.weight * inside)
 
 
-def _fill(sector: Whole, sectors: int) -> tuple[Whole, Floats]:
-    """Indices (S, n) of each sector's pixels, and which of them only fill up."""
-    order = np.argsort(sector, kind="stable")
+def _fill(sector: Whole, distance: Floats, sectors: int) -> tuple[Whole, Floats]:
+    """Indices (S, n) of each sector's pixels from the inside outwards, and which of them only fill up."""
+    order = np.lexsort((distance, sector))
     count = np.bincount(sector, minlength=sectors)
     first = np.concatenate(((0,), np.cumsum(count)[:-1]))
     place = np.arange(count.max())[None, :]

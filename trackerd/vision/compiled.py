@@ -142,13 +142,17 @@ def _add_pixels(
         e = edge[k]
         outside = ground * sigma * (scaled[k] * (1.0 - e) + bell[k])
         weight, residual = _weigh_pixel(seen[2, k], base + contrast * e + outside, profile, sensor, rules)
+        we, wr = weight * e, weight * residual
+        a00, a01, a04, a11 = a00 + weight, a01 + we, a04 + wr, a11 + we * e
+        a14, a44 = a14 + we * residual, a44 + wr * residual
+        if bell[k] < rules.no_slope and e > 0.5:  # deep inside only the levels are seen
+            continue
         d = slope * bell[k] - ground * (1.0 - e)
         b = d * (scaled[k] - bend)
-        we, wd, wb, wr = weight * e, weight * d, weight * b, weight * residual
-        a00, a01, a02, a03, a04 = a00 + weight, a01 + we, a02 + wd, a03 + wb, a04 + wr
-        a11, a12, a13, a14 = a11 + we * e, a12 + we * d, a13 + we * b, a14 + we * residual
+        wd, wb = weight * d, weight * b
+        a02, a03, a12, a13 = a02 + wd, a03 + wb, a12 + we * d, a13 + we * b
         a22, a23, a24 = a22 + wd * d, a23 + wd * b, a24 + wd * residual
-        a33, a34, a44 = a33 + wb * b, a34 + wb * residual, a44 + wr * residual
+        a33, a34 = a33 + wb * b, a34 + wb * residual
     normal[0, 0], normal[0, 1], normal[0, 2], normal[0, 3], normal[0, 6] = a00, a01, a02, a03, a04
     normal[1, 1], normal[1, 2], normal[1, 3], normal[1, 6] = a11, a12, a13, a14
     normal[2, 2], normal[2, 3], normal[2, 6] = a22, a23, a24

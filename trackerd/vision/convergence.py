@@ -35,6 +35,7 @@ class Rules(NamedTuple):
     firmest: float = 1e4  # DN^-2
     stands_out: float = 3.0  # a level farther from the others, in sigmas, is its own
     poor_sigmas: float = 2.0  # a sector whose chi2 is farther above 1 is played down
+    no_slope: float = 1e-7  # of the edge's bell: deeper inside a pixel does not see the edge
     farthest_below: float = 6.0  # sigmas: a saturated pixel whose model is farther below is no surer for that
     harmonic_steps: float = 5.0  # with a limb of three harmonics, before a lamp is sought that gives it
     lamp_settled: float = 0.1  # of settled_px: it creeps where the light only grazes the rim

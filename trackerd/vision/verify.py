@@ -57,7 +57,7 @@ def verified(fit: CircleFit, noise: NoiseModel, least_coverage: float) -> Outlin
     cov_px2 = fit.cov_px2 * growth
     if len(fit.limb_dn) > 0:
         cov_px2, why = _under_lamps(fit, cov_px2, why)
-    contrast, middle = float(np.median(sectors.contrast_dn[good])), float(np.median(sectors.level_dn[good]))
+    contrast, middle = median(sectors.contrast_dn[good]), median(sectors.level_dn[good])
     return Found(
         fit.x_px,
         fit.y_px,
@@ -84,14 +84,20 @@ def _under_lamps(fit: CircleFit, cov_px2: Array, why: str) -> tuple[Array, str]:
     return cov_px2, why
 
 
+def median(values: Array) -> float:
+    """A tenth of np.median's time for a hundred values."""
+    ordered = np.sort(values)
+    return 0.5 * (float(ordered[(len(ordered) - 1) // 2]) + float(ordered[len(ordered) // 2]))
+
+
 def corners(fit: CircleFit, good: Flags) -> str | None:
     """Why the outline is no circle, where its sectors' edges lie about it as a polygon's do; None: they do not.
 
     Each edge may be within its own noise, as those of a weak square are; together they are not.
     """
     away = np.abs(fit.sectors.offset_px - _even(fit))[good]
-    scatter_px = 1.4826 * float(np.median(away))
-    sigmas = 1.4826 * float(np.median(away * np.sqrt(fit.sectors.information[good])))
+    scatter_px = 1.4826 * median(away)
+    sigmas = 1.4826 * median(away * np.sqrt(fit.sectors.information[good]))
     if sigmas > CORNER_SIGMAS and scatter_px > max(LEAST_CORNER_PX, CORNER_BLURS * fit.sigma_px):
         return f"the edges are {scatter_px:.2f} px off any circle, {sigmas:.1f} times their noise"
     return None if float(away @ away) < SMOOTH_PX**2 * len(away) else _polygon(fit, good)
