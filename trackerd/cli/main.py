@@ -9,9 +9,10 @@ from pathlib import Path
 
 from trackerd import __version__
 from trackerd.cli.arguments import circle, count, pixel, seconds
+from trackerd.cli.calibrate_parsers import add_calibrate
+from trackerd.cli.statuses import DONE, REFUSED, TO_MEND, WRONG_INPUT
 from trackerd.contract.errors import ConfigError, TrackerdError
 
-DONE, BUG, WRONG_INPUT, REFUSED, TO_MEND = 0, 1, 2, 3, 4
 NO_BALL = TO_MEND
 
 ABOUT = """\
@@ -72,8 +73,10 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--duration", type=seconds, metavar="S", help="stop S seconds after READY (default: run on)")
     parser.set_defaults(run=_serve, overrides=[], more_overrides=[], needs_config=True)
     commands = parser.add_subparsers(title="commands", metavar="COMMAND")
-    for add in (_add_check, _add_twin, _add_watch, _add_select, _add_arm, _add_inspect, _add_calibrate):
+    for add in (_add_check, _add_twin, _add_watch, _add_select, _add_arm, _add_inspect):
         _common(add(commands), argparse.SUPPRESS, "more_overrides")
+    for each in add_calibrate(commands):
+        _common(each, argparse.SUPPRESS, "more_overrides")
     return parser
 
 
@@ -179,29 +182,6 @@ def _add_inspect(commands: "argparse._SubParsersAction[argparse.ArgumentParser]"
     return parser
 
 
-def _add_calibrate(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> argparse.ArgumentParser:
-    """`calibrate` with what can be calibrated; the parser of the only one is returned."""
-    what = commands.add_parser(
-        "calibrate",
-        help="measure what the cell's file says of its devices",
-        description="Measures what the cell's file says of its devices, and prints the lines for it.",
-    ).add_subparsers(title="what", metavar="WHAT", required=True)
-    parser = what.add_parser(
-        "noise",
-        help="gain and read noise of a camera, from pictures of a still scene",
-        description="Gain and read noise of a camera by photon transfer, with their sigmas and a plot. The pictures, 8 or more,"
-        " show one still scene of many grey levels, such as a wall that is lit from one side, out of focus. The light may"
-        " flicker and drift. With --config and --camera it takes them from a camera of the cell; nothing is armed, nothing"
-        " moves. Exit status 3 where the pictures do not tell it, in words that say what would.",
-    )
-    parser.add_argument("path", nargs="?", type=Path, metavar="PATH", help="a folder of pictures, or a recording")
-    parser.add_argument("--out", type=Path, metavar="FILE", default=Path("noise.svg"), help="the plot (default: noise.svg)")
-    parser.add_argument("--camera", metavar="NAME", help="the camera of the cell")
-    parser.add_argument("--frames", type=count, metavar="N", default=100, help="of the camera (default: 100)")
-    parser.set_defaults(run=_calibrate_noise, needs_config=False)
-    return parser
-
-
 def _serve(options: argparse.Namespace) -> int:
     from trackerd.cli.run import serve
 
@@ -245,13 +225,6 @@ def _arm(options: argparse.Namespace) -> int:
 
     request = {"gimbal": options.gimbal} if options.gimbal else {}
     return ask(options.config, options.overrides, "arm", request | ({"hold": True} if options.hold else {}))
-
-
-def _calibrate_noise(options: argparse.Namespace) -> int:
-    from trackerd.cli.calibrate import NoiseRequest, noise
-
-    noise(NoiseRequest(options.path, options.out, options.config, options.camera, options.frames, options.overrides))
-    return DONE
 
 
 def _inspect(options: argparse.Namespace) -> int:
