@@ -204,17 +204,17 @@ def test_a_pixel_with_nothing_near_it_chooses_nothing_and_says_so() -> None:
     run.tracker.select((ORIGIN_PX[0] + 600.0, ORIGIN_PX[1] + 60.0))
     step = run.see(at(160.0, 240.0, 40.0))
     assert step.state is TrackState.SEARCHING
-    assert "within 3 radii" in step.why
+    assert "no ball at pixel" in step.why
     run.tracker.select(None)
     assert run.lock(at(160.0, 240.0, 40.0)).target_selected == "itself"
 
 
-def test_after_a_loss_a_chosen_target_counts_as_found_by_itself() -> None:
+def test_a_chosen_target_stays_the_chosen_one_after_a_loss() -> None:
     run = Run(TrackingSettings(target_px=(ORIGIN_PX[0] + 330.0, ORIGIN_PX[1] + 240.0), coast_frames=1))
     assert run.lock(at(330.0)).target_selected == "pixel"
     for _ in range(3):
         run.see(EMPTY)
-    assert run.lock(at(330.0)).target_selected == "itself"
+    assert run.lock(at(330.0)).target_selected == "pixel"
 
 
 def test_a_steered_target_is_brought_to_the_aim_pixel() -> None:

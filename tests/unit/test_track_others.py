@@ -67,7 +67,7 @@ def test_a_ball_that_crosses_the_target_does_not_take_the_lock_along(px_a_frame:
 def test_where_two_balls_cover_each_other_the_tracker_says_so() -> None:
     passing = [Disc(20.0 + 3.0 * n, 180.0) for n in range(146)]
     steps = watched([((240.0, 180.0), [disc]) for disc in passing])
-    assert any("which one is seen cannot be told" in step.why for step in steps)
+    assert any("cannot be told" in step.why for step in steps)
 
 
 def test_balls_that_cross_each_other_in_motion_keep_their_names() -> None:
@@ -185,7 +185,7 @@ def test_drops_hides_and_jumps_in_any_order_never_end_on_the_other_ball(seed: in
     other = wandering(random, frames, 0.6 * r_px, float(random.choice((2.0, 6.0, 10.0))))
     other += (target[0] + (240.0, 180.0)) % (480.0, 360.0) - other[0] if np.hypot(*(target[0] - other[0])) < 3.0 * r_px else 0.0
     scenes, watcher = Scenes(seed=seed), Watcher(tracking=TrackingSettings(target_px=tuple(target[0].tolist())))
-    hidden_until, locked, visible = 0, 0, 0
+    hidden_until, locked, visible, waited = 0, 0, 0, 0
     for n in range(frames):
         if n > 10 and random.random() < 0.02:
             hidden_until = n + int(random.integers(1, 41))
@@ -202,4 +202,8 @@ def test_drops_hides_and_jumps_in_any_order_never_end_on_the_other_ball(seed: in
         assert locked_off_px(step, place) < max(1.0, 0.05 * r_px), f"frame {n}"
         locked += step.state is TrackState.LOCKED
         visible += place is not None
+        waited = 0 if step.state is TrackState.LOCKED else waited + 1
+        if waited > 10 and place is not None and np.hypot(*(target[n] - other[n])) > 2.5 * r_px:
+            waited = 0
+            watcher.tracker.select(place)  # an operator sees which one it is
     assert locked > 0.3 * visible  # it does not refuse everything either

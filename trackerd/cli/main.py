@@ -136,7 +136,7 @@ def _add_select(commands: "argparse._SubParsersAction[argparse.ArgumentParser]")
     parser = commands.add_parser(
         "select",
         help="choose the target in one gimbal's image",
-        description="The target becomes the ball nearest to a pixel of the sensor; --pixel auto lets it be found by itself.",
+        description="The target becomes the ball that a pixel of the sensor shows; --pixel auto lets it be found by itself.",
     )
     parser.add_argument("--gimbal", required=True, metavar="NAME")
     parser.add_argument("--pixel", required=True, type=pixel, metavar="X,Y", help="sensor pixel, or auto")

@@ -33,7 +33,7 @@ Selected = Literal["pixel", "guess", "itself"]
 
 @dataclass(frozen=True, slots=True)
 class Wanted:
-    """A target that somebody chose, in sensor pixels: the nearest ball, or (with a radius) the one at a guess."""
+    """A target that somebody chose, in sensor pixels: the ball there, or (with a radius) the one at a guess."""
 
     pixel: Pixel
     radius_px: float | None = None
@@ -100,7 +100,7 @@ class Tracker:
         self.select(tracking.target_px, tracking.target_radius_px)
 
     def select(self, pixel: Pixel | None, radius_px: float | None = None) -> None:
-        """Choose the ball nearest to a sensor pixel, with a radius the one at that guess, or (None) whichever is found; takes
+        """Choose the ball at a sensor pixel, with a radius the one at that guess, or (None) whichever is found; takes
         effect in the next step."""
         self._selection = (None if pixel is None else Wanted(pixel, radius_px),)
 
@@ -148,7 +148,7 @@ class Tracker:
         selection = self._selection
         if selection is not self._taken:
             self._forget()
-            self._acquisition.forget()
+            self._acquisition.forget(chosen=selection[0] is not None)
             self._taken, self._wanted = selection, selection[0]
             self._selected = _selected(self._wanted)
 
@@ -164,7 +164,6 @@ class Tracker:
         elif self._missed > self._coast_frames:
             self._forget()
             self._acquisition.lose()
-            self._selected = "itself"  # what is found next is whatever is found
         else:
             self._state = TrackState.COASTING
 

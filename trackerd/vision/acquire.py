@@ -37,7 +37,7 @@ GATE_RADII = 0.25  # from where it is expected: what is farther off is looked at
 FRESH_FRAMES = 3  # an expectation that was confirmed so few frames ago tells the target from a ball that may be another
 WIDEST_REACH = 0.5  # of the radius: the rays must start inside the outline
 SMALL_IMAGE_PX = 1_500_000  # a greater image is searched for an unknown ball in every second frame: 7 ms and more for 3 Mpx
-KEPT_FRAMES = 300  # after a loss: then light, range or target may have changed, and whatever is found is the target
+KEPT_FRAMES = 300  # after a loss: then light, range or target may have changed, and whatever is found is it, if nobody chose
 CLEARLY_NEARER = 0.5  # of the next one's distance
 EDGE_RADII, EDGE_RADII_HIDDEN = 1.0, 1.5  # a ball so near to the image's edge comes in over it
 NOTHING = "nothing round in the image passes the verification"
@@ -78,13 +78,14 @@ class Acquisition:
         """Whether the look of a target is remembered, so that one outline is enough to know it again."""
         return self._look is not None
 
-    def forget(self) -> None:
-        """Another target is wanted: nothing of this one is kept."""
+    def forget(self, chosen: bool = False) -> None:
+        """Another target is wanted: nothing of this one is kept. One that somebody chose is it until the next choice."""
+        self._chosen = chosen
         self._look: Look | None = None
         self._lost: Expected | None = None  # where it was expected when it was given up
         self._lost_frames = 0
         self._limb = LimbChoice()
-        self._bystanders.forget()
+        self._bystanders.forget(for_good=chosen)
         self._box.forget()
 
     def lose(self) -> None:
@@ -108,13 +109,13 @@ class Acquisition:
         if isinstance(there, Found) and self._admits(there):
             return there
         smallest, largest = max(r / (1.0 + LOST_RADIUS), self._radius_px[0]), min(r * (1.0 + LOST_RADIUS), self._radius_px[1])
-        return search(image, self._noise, (smallest, largest), (x, y), self._view)
+        return search(image, self._noise, (smallest, largest), (x, y), self._view, guessed=True)
 
     def anywhere(self, image: Image, frame_id: int, near_px: tuple[float, float] | None) -> Outline:
         """After a loss the ball that was lost; else the best outline, or the one nearest to a pixel."""
         if self._lost is not None and near_px is None:
             self._lost_frames += 1
-            if self._lost_frames > KEPT_FRAMES:
+            if self._lost_frames > KEPT_FRAMES and not self._chosen:
                 self._look = None
             if self._look is not None or self._bystanders.known:
                 return self._elsewhere(image, self._lost, LOST_RADIUS) or Missed(NOTHING)
@@ -148,7 +149,7 @@ class Acquisition:
     def learn(self, image: Image, found: Found) -> None:
         """A verified outline of the target, to be remembered. `image` must stay as it is until the next one was looked at."""
         self._look = Look.of(found) if self._look is None else self._look.with_newer(found)
-        self._bystanders.watch(image, found)
+        self._bystanders.watch(image, found, self._limb)
         self._box.start(image, (found.x_px, found.y_px, found.r_px))
 
     def _at(self, image: Image, circle: Circle, expected: Expected) -> Outline:
@@ -181,7 +182,7 @@ class Acquisition:
         """Whatever looks like the target, anywhere, and is no other ball. None: nothing is round."""
         r = expected.circle[2]
         radius_px = max(self._radius_px[0], r / (1.0 + LOST_RADIUS)), min(self._radius_px[1], r * (1.0 + LOST_RADIUS))
-        outlines = everywhere(image, self._noise, radius_px, self._view)
+        outlines = everywhere(image, self._noise, radius_px, self._view, limb=self._limb)
         strangers = self._bystanders.strangers(outlines, Place(expected.circle, expected.missed))
         look = self._look
         alike = [s for s in strangers if same_size(s.r_px, r, growth) and (look is None or look.has_levels(s))]
@@ -194,8 +195,7 @@ class Acquisition:
         nearest_px = expected.distance_px(alike[0])
         if len(alike) > 1 and nearest_px > CLEARLY_NEARER * expected.distance_px(alike[1]):
             return Missed(f"{len(alike)} balls are in view: which one is the target cannot be told")
-        place = Place(expected.circle, expected.missed)
-        in_place = place.has(alike[0]) or (nearest_px <= r and expected.missed <= FRESH_FRAMES)
+        in_place = nearest_px <= r and expected.missed <= FRESH_FRAMES
         if (self._bystanders.in_doubt and not in_place) or self._bystanders.covers(alike[0], expected.circle):
             return Missed("another ball is in view: which one is the target cannot be told")
         return alike[0]

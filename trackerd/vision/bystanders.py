@@ -14,6 +14,7 @@ from trackerd.contract.model import Found, Image, Missed, Outline
 from trackerd.vision.curve import View
 from trackerd.vision.everywhere import ITSELF_RADII, everywhere
 from trackerd.vision.kernels import first_circle
+from trackerd.vision.limb import LimbChoice
 from trackerd.vision.locate import locate
 from trackerd.vision.noise import NoiseModel
 from trackerd.vision.others import DOUBTED_NEW, Others, Place
@@ -46,8 +47,9 @@ class Bystanders:
         """Whether one that is followed may be the target as well: then one that is not followed may be the other."""
         return any(not other.sure for other in self._others.known)
 
-    def forget(self) -> None:
-        self._others.forget()
+    def forget(self, for_good: bool = False) -> None:
+        self._others.forget(for_good)
+        self._limb: LimbChoice | None = None
         self._frames = 0
         self._last: tuple[Image, Circle] | None = None  # the last image with the target, not yet looked through
         self._last_is_ours = False
@@ -60,10 +62,13 @@ class Bystanders:
         self._since_last = self._since_last[0] + moved_px[0], self._since_last[1] + moved_px[1]
         self._frames_since_last += 1
 
-    def watch(self, image: Image, target: Found) -> None:
-        """The target is seen. The image is kept as it is, not copied: it must not change until the next frame was looked at."""
+    def watch(self, image: Image, target: Found, limb: LimbChoice) -> None:
+        """The target is seen, with a limb term or without: the others are in the same light.
+
+        The image is kept as it is, not copied: it must not change until the next frame was looked at.
+        """
         circle = target.x_px, target.y_px, target.r_px
-        self._last, self._last_is_ours = (image, circle), False
+        self._last, self._last_is_ours, self._limb = (image, circle), False, limb
         self._since_last, self._frames_since_last = (0.0, 0.0), 0
         self._frames += 1
         every = WATCHED_EVERY_LARGE if image.size > LARGE_IMAGE_PX else WATCHED_EVERY
@@ -109,8 +114,8 @@ class Bystanders:
         """Balls that were in view beside the target when it was last seen, brought to where those at rest are now."""
         assert self._last is not None
         (image, circle), (dx, dy), n, self._last = self._last, self._since_last, self._frames_since_last, None
-        before = everywhere(image, self._noise, self._alike(circle), self._view, besides=circle)
-        then = Others()
+        before = everywhere(image, self._noise, self._alike(circle), self._view, besides=circle, limb=self._limb)
+        then = Others(self._others.for_good)
         then.known = [replace(o, x_px=o.x_px - dx, y_px=o.y_px - dy, unseen=o.unseen + n) for o in self._others.known]
         then.add(then.claim(before, Place(circle, 0)))
         moved_back = [replace(found, x_px=found.x_px - dx, y_px=found.y_px - dy) for found in outlines]
@@ -137,15 +142,16 @@ class Bystanders:
         return bool(on_it[beside].sum() >= HALF_SEEN * max(beside.sum(), 1))
 
     def _look_round(self, image: Image, target: Circle, scales: tuple[int, ...]) -> None:
-        found = everywhere(image, self._noise, self._alike(target), self._view, scales, target)
+        found = everywhere(image, self._noise, self._alike(target), self._view, scales, target, self._limb)
         self._others.add(self._others.claim(found, Place(target, 0)))
 
     def _follow_close(self, image: Image, target: Circle) -> None:
         x, y, r = target
+        chosen = None if self._limb is None else self._limb.kept()
         for other in self._others.known:
             away_px = other.distance_px(x, y)
             if _merged_px(target) < away_px < CLOSE_RADII * r:
-                found = locate(image, (other.x_px, other.y_px, other.look.r_px), self._noise, view=self._view)
+                found = locate(image, (other.x_px, other.y_px, other.look.r_px), self._noise, view=self._view, limb=chosen)
                 if (
                     isinstance(found, Found)
                     and hypot(found.x_px - x, found.y_px - y) > ITSELF_RADII * r

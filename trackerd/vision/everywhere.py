@@ -8,7 +8,8 @@ import numpy as np
 from trackerd.contract.model import Found, Image
 from trackerd.vision.curve import View
 from trackerd.vision.kernels import first_circle
-from trackerd.vision.locate import locate
+from trackerd.vision.limb import LimbChoice
+from trackerd.vision.locate import refine
 from trackerd.vision.noise import NoiseModel
 from trackerd.vision.rays import Circle, edges_on_rays
 from trackerd.vision.search import Pyramid, circles_in, same_seed
@@ -27,14 +28,17 @@ def everywhere(
     view: View | None,
     scales: Sequence[int] = (4, 2),
     besides: Circle | None = None,
+    limb: LimbChoice | None = None,
 ) -> list[Found]:
     """All outlines of an admitted radius, in image coordinates, looked for in the pictures smaller by `scales`.
 
-    Not those whose centre is within half a radius of the circle `besides`, which is known.
+    Not those whose centre is within half a radius of the circle `besides`, which is known. `limb` is the choice that was made
+    for this light, if any: asking anew for each outline takes five times as long.
     """
     found: list[Found] = []
     tried: list[Circle] = []
     known = (0.0, 0.0, 0.0) if besides is None else besides
+    chosen = None if limb is None else limb.kept()
     pyramid = Pyramid.of(image)
     for scale in scales:
         for seed in circles_in(pyramid, radius_px, scale):
@@ -48,7 +52,7 @@ def everywhere(
             first = first_circle(image, seed, noise)
             if first is None or not _is_promising(image, first, noise):
                 continue
-            outline = locate(image, first, noise, view=view)
+            outline = refine(image, first, noise, view, chosen)
             if (
                 isinstance(outline, Found)
                 and _admitted(outline, radius_px)

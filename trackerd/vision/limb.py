@@ -4,6 +4,7 @@ The term costs some noise of the radius, and time; without it a lamp from one si
 darkened rim makes the radius small. Switching from frame to frame would let both errors flicker.
 """
 
+import sys
 from math import inf
 
 import numpy as np
@@ -54,6 +55,14 @@ class LimbChoice:
     def open(self) -> bool:
         """The next picture is to be asked."""
         return self._mean is None or self._frames >= ASKED_EVERY
+
+    def kept(self) -> "LimbChoice | None":
+        """The same choice for good, for other balls in the same light; None before the first answer."""
+        if self._mean is None:
+            return None
+        kept = LimbChoice()
+        kept.used, kept._mean, kept._frames = self.used, self._mean, -sys.maxsize
+        return kept
 
     def count(self) -> None:
         """A picture was fitted, with the choice as it stands."""

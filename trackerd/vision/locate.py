@@ -18,7 +18,9 @@ from trackerd.vision.verify import LEAST_COVERAGE, LEAST_COVERAGE_SEARCHED, veri
 RADIUS_PX = (4.0, 2000.0)  # what the ring and its sectors can do
 SEARCHED_PX = (12.0, 250.0)
 SMALLEST_IMAGE_PX = 16
-NEAR_RADII = 3.0  # a target chosen by pixel is the nearest outline within this many of its radii
+GUESSED_RADII = 3.0
+NEAR_RADII = 1.2  # a target chosen by pixel is the nearest outline within this many of its radii,
+PATCH_RADII = 0.25  # whose level a patch of this radius about the pixel has: not that of something in front of it
 
 
 def locate(
@@ -56,8 +58,12 @@ def search(
     radius_px: tuple[float, float] = SEARCHED_PX,
     near_px: tuple[float, float] | None = None,
     view: View | None = None,
+    guessed: bool = False,
 ) -> Outline:
-    """The outline with the best coverage of those found anywhere, or the one nearest to a pixel, within three of its radii."""
+    """The outline with the best coverage of those found anywhere, or the nearest one that a pixel belongs to.
+
+    `guessed`: the pixel may be off by three radii.
+    """
     check_image(image)
     if min(image.shape) < SMALLEST_IMAGE_PX:
         return Missed(f"the image of {image.shape[1]} x {image.shape[0]} px is too small to search")
@@ -71,11 +77,11 @@ def search(
         if near_px is None:
             return outline
         found.append(outline)
-    within = [f for f in found if near_px is not None and _distance(f, near_px) <= NEAR_RADII * f.r_px]
+    within = [f for f in found if near_px is not None and _has(f, near_px, None if guessed else image)]
     if near_px is None:
         return Missed("nothing round in the image passes the verification")
     if not within:
-        return Missed(f"no ball within {NEAR_RADII:.0f} radii of pixel ({near_px[0]:.0f}, {near_px[1]:.0f})")
+        return Missed(f"no ball at pixel ({near_px[0]:.0f}, {near_px[1]:.0f})")
     return min(within, key=lambda f: _distance(f, near_px))
 
 
@@ -137,6 +143,19 @@ def _refusal(image: Image, guess: Circle) -> str:
 
 def _same(seed: Circle, found: Found) -> bool:
     return hypot(seed[0] - found.x_px, seed[1] - found.y_px) < 0.3 * found.r_px
+
+
+def _has(found: Found, pixel: tuple[float, float], image: Image | None) -> bool:
+    """Whether a pixel shows this ball, or is just beside it; without an image, whether it may be meant."""
+    away_px = _distance(found, pixel)
+    if image is None:
+        return away_px <= GUESSED_RADII * found.r_px
+    if away_px > found.r_px:
+        return away_px <= NEAR_RADII * found.r_px
+    column, row, half = round(pixel[0]), round(pixel[1]), max(round(PATCH_RADII * found.r_px), 1)
+    patch = image[max(row - half, 0) : row + half + 1, max(column - half, 0) : column + half + 1]
+    level_dn, contrast_dn = float(np.median(patch)), found.inside_dn - found.outside_dn
+    return (level_dn - found.outside_dn) * contrast_dn > 0.0 or abs(level_dn - found.inside_dn) < abs(contrast_dn)
 
 
 def _distance(found: Found, pixel: tuple[float, float]) -> float:

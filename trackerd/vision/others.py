@@ -74,9 +74,9 @@ class Other:
         self.x_px += moved_px[0] + vx
         self.y_px += moved_px[1] + vy
 
-    def doubt(self) -> None:
-        self.sure = False
-        self.doubted = DOUBTED if self.doubted is None else self.doubted
+    def doubt(self, frames: int | None) -> None:
+        if self.sure:
+            self.sure, self.doubted = False, frames
 
     def seen(self, found: Found) -> None:
         """Found again, after `go_on`; where it was expected tells how much faster it is than was thought."""
@@ -112,16 +112,18 @@ class Place:
 class Others:
     """All of them, in the images of one camera."""
 
-    def __init__(self) -> None:
+    def __init__(self, for_good: bool = False) -> None:
+        """`for_good`: whoever is out of sight is not forgotten, and no doubt ends by itself."""
         self.known: list[Other] = []
+        self.for_good = for_good
 
-    def forget(self) -> None:
-        self.known = []
+    def forget(self, for_good: bool = False) -> None:
+        self.known, self.for_good = [], for_good
 
     def go_on(self, moved_px: tuple[float, float]) -> None:
         for other in self.known:
             other.go_on(moved_px)
-        self.known = [other for other in self.known if other.unseen <= FORGOTTEN and other.doubted != 0]
+        self.known = [other for other in self.known if self.for_good or (other.unseen <= FORGOTTEN and other.doubted != 0)]
 
     def drop_outside(self, width: int, height: int) -> None:
         """Those that have left the image: what comes in is looked at as such."""
@@ -158,7 +160,7 @@ class Others:
             elsewhere = in_place or target.distance_px(outline) > target.reach_px  # the target is not there
             clear = other.unseen <= CLEAR_FRAMES or (o not in contested and elsewhere)
             if not (clear and other.is_expected_at(outline)):
-                other.doubt()
+                other.doubt(None if self.for_good else DOUBTED)
             other.seen(outline)
         self._drop_ghosts()
         return [found for f, found in enumerate(outlines) if f not in owner]

@@ -148,7 +148,7 @@ class Segment:
         return hypot(x - u, y - v) < 2.0 * self._look[0].circle[2] + BESIDE_PX
 
     def _other_way(self, random: Random) -> _Path:
-        """The second ball's path; when the target is chosen, both are apart."""
+        """The second ball's path; when the target is first chosen, both are apart."""
         jump_at = self._path.jump_at
         fastest = 1e-9 if self.second == "equal, still" else FASTEST_PX
         while True:
