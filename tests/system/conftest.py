@@ -5,6 +5,14 @@ from collections.abc import Iterator
 import pytest
 from system.cell import LONG_DWELL, PATIENT, Cell, running_cell
 
+from trackerd.vision import kernels
+
+
+@pytest.fixture(scope="session", autouse=True)
+def machine_code() -> None:
+    """Made before any daemon is waited for: it takes longer than a start may."""
+    kernels.warm_up()
+
 
 @pytest.fixture(scope="module")
 def still_cell() -> Iterator[Cell]:

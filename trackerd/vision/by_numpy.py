@@ -14,26 +14,11 @@ import numpy.typing as npt
 
 from trackerd.contract.model import Array, Image
 from trackerd.vision.annulus import Gathered, Ring, gather
-from trackerd.vision.convergence import (
-    DAWN,
-    DAWN_END,
-    DAWN_STEPS,
-    PROFILE,
-    RULES,
-    TABLE_END,
-    TABLE_STEPS,
-    CircleFit,
-    Sectors,
-    Start,
-)
+from trackerd.vision.convergence import RULES, CircleFit, Sectors, Start
 from trackerd.vision.curve import Curve
 from trackerd.vision.noise import NoiseModel
-
-_EDGE, _BELL = (np.ascontiguousarray(column) for column in PROFILE.T)
-_EDGE_RISE, _BELL_RISE = np.diff(_EDGE), np.diff(_BELL)
-
-
-Ties = list[tuple[float, Array]]
+from trackerd.vision.numpy_levels import Ties, eliminate_levels, plain_levels, tie
+from trackerd.vision.numpy_light import limb_light, profile_at
 
 
 @dataclass(slots=True)
@@ -128,9 +113,9 @@ def _iterate(seen: _Seen, shape: _Shape) -> tuple[_Step, Sectors, bool] | None:
     steps = int(RULES.steps)
     for n in range(steps):
         normal, levels = _normal_matrices(seen, shape, levels)
-        ties = [] if n == 0 else _tie(normal, levels, seen.pixels.middle, _ambient_spread_dn(shape))
+        ties = [] if n == 0 else tie(normal, levels, seen.pixels.middle, _ambient_spread_dn(shape))
         shape.ground_dn = ties[0][1] if ties else shape.ground_dn
-        reduced, levels, coupling = _eliminate_levels(normal, levels, seen.saturated_dn)
+        reduced, levels, coupling = eliminate_levels(normal, levels, seen.saturated_dn)
         sectors = _sectors(reduced, levels, seen)
         step = _robust_step(reduced, sectors, seen, shape, ties)
         if step is None:
@@ -170,81 +155,6 @@ def _ambient_spread_dn(shape: _Shape) -> float | None:
     return RULES.ambient_spread_dn + RULES.ambient_spread * lamp_dn if shape.lamp else None
 
 
-def _tie(normal: Array, levels: Array, middle: Array, ambient_spread_dn: float | None) -> Ties:
-    """Ties the levels outside, and those inside, to what the sectors have in common: as firmly as they are found to agree.
-
-    Free levels cost a sixth of the precision; equal ones assumed would bias the centre by any gradient of the light. So the
-    spread of the levels is taken from the sectors (empirical Bayes); those that stand out are left free. In `normal`, in place.
-    """
-    a, b, d = normal[:, 0, 0].copy(), normal[:, 0, 1].copy(), normal[:, 1, 1].copy()
-    det = a * d - b * b
-    seeing = det > RULES.blind * a * d
-    det = np.where(seeing, det, 1.0)
-    base = levels[:, 0] + (d * normal[:, 0, -1] - b * normal[:, 1, -1]) / det
-    inside = base + levels[:, 1] + (a * normal[:, 1, -1] - b * normal[:, 0, -1]) / det
-    return [
-        _tie_end(normal, base, np.where(seeing, d / det, 1.0), seeing, levels[:, 0], (1.0, 0.0), -3, middle, None),
-        _tie_end(
-            normal,
-            inside,
-            np.where(seeing, np.maximum((a - 2.0 * b + d) / det, 1e-12), 1.0),
-            seeing,
-            levels.sum(axis=1),
-            (1.0, 1.0),
-            -2,
-            middle,
-            ambient_spread_dn,
-        ),
-    ]
-
-
-def _tie_end(
-    normal: Array,
-    value: Array,
-    variance: Array,
-    seeing: npt.NDArray[np.bool_],
-    taken_at: Array,
-    towards: tuple[float, float],
-    common: int,
-    middle: Array,
-    spread_dn: float | None,
-) -> tuple[float, Array]:
-    """One of the two; 1 / variance of the gradient that the sectors show, and that gradient."""
-    if not seeing.any():
-        return 0.0, np.zeros(2)
-    centre = np.full(len(value), np.median(value[seeing]))
-    if spread_dn is None:
-        weight, firmness, common_part = _firmness(value - centre, variance, seeing, middle)
-        centre += common_part[0] + middle @ common_part[1:]
-        gradient = common_part[1:]
-    else:
-        weight = seeing / (spread_dn**2 * (1.0 + ((value - centre) / (RULES.doubted * spread_dn)) ** 2))
-        firmness, gradient = RULES.firmest, np.zeros(2)
-    row = np.zeros(normal.shape[:2])
-    row[:, :2], row[:, common], row[:, -1] = towards, -1.0, centre - taken_at
-    normal += weight[:, None, None] * row[:, :, None] * row[:, None, :]
-    return firmness, gradient
-
-
-def _firmness(deviation: Array, variance: Array, seeing: npt.NDArray[np.bool_], middle: Array) -> tuple[Array, float, Array]:
-    """1 / variance of the levels about their common gradient, (S,), and of that gradient; mean and gradient."""
-    own = float(np.median(variance[seeing]))
-    size = np.abs(deviation)
-    wide = RULES.stands_out * (1.4826 * float(np.median(size[seeing])) + np.sqrt(variance))
-    share = (seeing & (size < wide)) / variance
-    design = np.column_stack((np.ones(len(middle)), middle))
-    covariance = np.linalg.inv((design * share[:, None]).T @ design + 1e-9 * np.eye(3))
-    gradient = covariance @ (design.T @ (share * deviation))
-    noise = 0.5 * (covariance[1, 1] + covariance[2, 2])
-    strength = 0.5 * float(gradient[1] ** 2 + gradient[2] ** 2)
-    firmness = 1.0 / (max(strength - RULES.gradient_noise * noise, 0.0) + 1.0 / RULES.firmest)
-    rest = np.abs(deviation - design @ gradient)
-    found = (1.4826 * float(np.median(rest[seeing]))) ** 2
-    spread2 = max(found - own, 0.0) + RULES.least_spread_dn**2
-    near = seeing & (rest < RULES.stands_out * np.sqrt(spread2 + variance))
-    return np.asarray(near / spread2), firmness, gradient
-
-
 def _blur_settled(shape: _Shape, delta: Array) -> bool:
     blurs = len(shape.blur_px2)
     return blurs == 1 or float(np.abs(delta[3 : 3 + blurs]).max()) < RULES.blur_settled * float(shape.blur_px2[0])
@@ -272,28 +182,20 @@ def _distance(pixels: Ring, curve: Curve, shape: _Shape) -> Array:
     return np.asarray((rho - shape.r - bulge - angle * (first + 0.5 * angle * second)) * slant)
 
 
-def _profile_at(t: Array) -> tuple[Array, Array]:
-    """E(t) and its bell."""
-    place = np.minimum(np.maximum((t + TABLE_END) * TABLE_STEPS, 0.0), 2.0 * TABLE_END * TABLE_STEPS)
-    index = place.astype(np.intp)
-    share = place - index
-    return _EDGE.take(index) + share * _EDGE_RISE.take(index), _BELL.take(index) + share * _BELL_RISE.take(index)
-
-
 def _normal_matrices(seen: _Seen, shape: _Shape, levels: Array | None) -> tuple[Array, Array]:
     """Normal matrices (S, c, c) over the columns (B, D, e, sig, the limb's two if it is free, residual), and the levels (S, 2)
     they are taken at."""
     sigma = shape.sigma_px(seen.pixels)[:, None]
     distance = _distance(seen.pixels, seen.curve, shape)
     scaled, bend = distance / sigma, sigma / (2.0 * shape.r)
-    edge, bell = _profile_at(scaled + bend)
+    edge, bell = profile_at(scaled + bend)
     limb = len(shape.limb_dn) > 0
     columns = np.empty((len(edge), 7 if limb else 5, edge.shape[1]))
-    light = _limb(columns, distance, scaled + bend, sigma, seen, shape) if limb else None
+    light = limb_light(columns, distance, scaled + bend, sigma, shape.limb_at(seen.pixels), shape.r) if limb else None
     slope = (seen.pixels.middle @ shape.ground_dn)[:, None] / shape.r
     ground = slope * (distance * (1.0 - edge) + sigma * bell)  # outside, the ground goes on as it does round the ball
     if levels is None:
-        levels = _plain_levels(seen.level if light is None else seen.level - light.level, seen.weight, edge)
+        levels = plain_levels(seen.level if light is None else seen.level - light.level, seen.weight, edge)
     base, contrast = levels[:, 0, None], levels[:, 1, None]
     model = base + contrast * edge + ground
     columns[:, 0] = 1.0
@@ -317,62 +219,6 @@ def _normal_matrices(seen: _Seen, shape: _Shape, levels: Array | None) -> tuple[
     return normal, levels
 
 
-@dataclass(frozen=True, slots=True)
-class _Light:
-    """The limb term, (S, n)."""
-
-    level: Array
-    rim: Array  # the part of it that goes with the root of the blur
-    slope: Array  # its change with the edge's offset
-
-
-def _limb(columns: Array, distance: Array, t: Array, sigma: Array, seen: _Seen, shape: _Shape) -> _Light:
-    """The lamp's light; in columns 4 and 5 its derivatives by the lamp's strength along the sector and towards the camera."""
-    along, towards = shape.limb_at(seen.pixels)
-    lit = (along >= 0.0) | (towards <= 0.0)
-    dawn = np.where(
-        lit, 0.0, np.sqrt(np.maximum(1.0 - towards / np.maximum(np.hypot(along, towards), 1e-9), 0.0) * shape.r / sigma)
-    )
-    root, rise = _dawn_at(t, dawn)
-    scale = np.sqrt(2.0 * sigma / shape.r) * np.sqrt(1.0 - np.minimum(np.maximum(-distance / (2.0 * shape.r), 0.0), 0.5))
-    deeper = t + dawn * dawn
-    share, bell = _profile_at(deeper)
-    fade = (sigma / shape.r) * (bell - deeper * share)
-    rim = towards * scale * root
-    columns[:, 4] = share - fade
-    columns[:, 5] = scale * root
-    columns[:, 5] -= np.where(lit, 0.0, along / np.where(lit, 1.0, towards)) * share
-    return _Light(
-        rim + along * (lit * share - fade),
-        rim,
-        np.asarray((along * (lit * bell) - towards * scale * rise) / sigma - (along / shape.r) * share),
-    )
-
-
-def _dawn_at(t: Array, u: Array) -> tuple[Array, Array]:
-    """T(t, u) and its slope by t, t (S, n) and u (S, 1); deeper than the table without the blur."""
-    last_row, last_column = len(DAWN) - 2, DAWN.shape[1] - 2
-    row = np.minimum(u * DAWN_STEPS, last_row)
-    k = row.astype(np.intp)
-    rows = DAWN[k[:, 0]] + (row - k)[:, :, None] * (DAWN[k[:, 0] + 1] - DAWN[k[:, 0]])  # (S, n, 2): each sector's own
-    place = np.minimum(np.maximum((t + TABLE_END) * DAWN_STEPS, 0.0), last_column)
-    i = place.astype(np.intp)
-    share = (place - i)[:, :, None]
-    sector = np.arange(len(t))[:, None]
-    found = rows[sector, i] * (1.0 - share) + rows[sector, i + 1] * share
-    depth = np.maximum(-t, 1.0)
-    second = 0.125 / (depth * depth)
-    deep = (t < -TABLE_END) | (u > DAWN_END)
-    root = np.sqrt(depth)
-    beyond = root * (1.0 - second) - u
-    seen = beyond > 0.0
-    rise = -0.5 / root * (1.0 + 3.0 * second)
-    return (
-        np.where(deep, np.where(seen, beyond, 0.0), found[:, :, 0]),
-        np.where(deep, np.where(seen, rise, 0.0), found[:, :, 1]),
-    )
-
-
 def _censor(residual: Array, model: Array, variance: Array, seen: _Seen) -> Array:
     """The weights (S, n) of pixels some of which are saturated, and in `residual` what to compare those with.
 
@@ -383,38 +229,12 @@ def _censor(residual: Array, model: Array, variance: Array, seen: _Seen) -> Arra
     clipped = seen.level >= seen.saturated_dn
     sd = np.sqrt(variance[clipped])
     below = np.minimum((seen.saturated_dn - 0.5 - model[clipped]) / sd, RULES.farthest_below)
-    beyond, bell = _profile_at(below)
+    beyond, bell = profile_at(below)
     hazard = bell / np.maximum(beyond, 1e-30)
     excess = np.maximum(hazard - below, 1e-3)
     residual[clipped] = sd / excess
     weight[clipped] *= hazard * excess
     return np.asarray(weight)
-
-
-def _plain_levels(level: Array, weight: Array, edge: Array) -> Array:
-    """B and D of each sector, (S, 2), by least squares with equal weights."""
-    w, we = weight, weight * edge
-    n, e, ee = w.sum(1), we.sum(1), (we * edge).sum(1)
-    y, ye = (w * level).sum(1), (we * level).sum(1)
-    det = n * ee - e * e
-    contrast = np.where(det > RULES.blind * n * ee, (n * ye - e * y) / np.maximum(det, 1e-3), 0.0)
-    return np.column_stack(((y - contrast * e) / np.maximum(n, 1.0), contrast))
-
-
-def _eliminate_levels(normal: Array, levels: Array, saturated_dn: float) -> tuple[Array, Array, Array]:
-    """Schur complement (S, c - 2, c - 2) over (e, sig, G, residual), the levels at the best fit with the circle as it is, and
-    minus their change with (e, sig, G), (S, 2, c - 3)."""
-    damping = 1.0 / saturated_dn**2  # a level that saturates may be anything: it is not sent to infinity
-    a, b, d = normal[:, 0, 0] + damping, normal[:, 0, 1], normal[:, 1, 1] + damping
-    det = a * d - b * b
-    blind = det <= RULES.blind * a * d
-    det = np.where(blind, 1.0, det)
-    c = np.where(blind[:, None, None], 0.0, normal[:, :2, 2:])
-    solved = np.empty_like(c)
-    solved[:, 0] = (d[:, None] * c[:, 0] - b[:, None] * c[:, 1]) / det[:, None]
-    solved[:, 1] = (a[:, None] * c[:, 1] - b[:, None] * c[:, 0]) / det[:, None]
-    reduced = np.where(blind[:, None, None], 0.0, normal[:, 2:, 2:] - c.transpose(0, 2, 1) @ solved)
-    return reduced, levels + solved[:, :, -1], solved[:, :, :-1]
 
 
 def _sectors(reduced: Array, levels: Array, seen: _Seen) -> Sectors:

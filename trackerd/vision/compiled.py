@@ -559,11 +559,18 @@ def _sum_up(
     sums[0], sums[1], sums[2] = clipped / max(pixels, 1), _middle(said[4].copy()), widest
 
 
-@_part
-def _iterate(  # noqa: PLR0912
+@_kept
+def fit(  # noqa: PLR0912
     seen: Any, inside: Any, middle: Array, design: Array, blur_design: Array, bulge: Array, curved: bool, profile: Array,
     dawn: Any, rules: Rules, sensor: Sensor, circle: Array, blurs: int, limbs: int, cov: Array, said: Array,
 ) -> bool:  # fmt: skip
+    """False: no circle is determined near by, and what is out means nothing.
+
+    In and out: circle: x, y (from the whole-numbered centre that `gather` saw about), r, blur (1 or 3), limb (0 or 3); and out
+    in its next 4: clipped share, median chi2, widest blur, settled. Out: cov of those, and of six of the common levels; said
+    (6, S): contrast, level, offset, information, chi2, weight of the sectors. In: what `gather` saw, and designs as in Ring and
+    Curve.
+    """
     sectors, shape = len(inside), circle[:-4].copy()
     size, columns = len(shape) + COMMON, 9 if limbs else 7
     ties, ground, scratch = np.zeros((2, 3)), np.zeros(2), np.empty((3, seen.shape[2]))
@@ -638,12 +645,16 @@ def _is_clipped(seen: Any, inside: Any, sensor: Sensor) -> bool:
     return False
 
 
-@_part
-def _gather(
+@_kept
+def gather(
     image: Image, column: Any, row: Any, count: Any, x0: int, y0: int, circle: Array, middle: Array, bulge: Array, curved: bool,
     span: Any,
 ) -> Any:  # fmt: skip
-    """Place and grey value of the pixels inside the image, (3, S, n), and how many there are in each sector."""
+    """Place, from the pixel (x0, y0), and grey value of the pixels inside the image, (3, S, n), and how many
+    there are in each sector. All that depends on the type of the pixels: the rest is compiled once.
+
+    In: pixels as in Ring; circle: x, y (from that pixel), r; span: how far inside and outside a curve its pixels may be.
+    """
     height, width = image.shape
     seen = np.empty((3, *column.shape), np.float32)
     inside = np.zeros(len(count), np.int32)
@@ -660,27 +671,3 @@ def _gather(
                 seen[0, s, k], seen[1, s, k], seen[2, s, k] = dx, dy, image[y, x]
                 inside[s] = k + 1
     return seen, inside
-
-
-@_kept
-def fit(
-    image: Image, column: Any, row: Any, count: Any, middle: Array, design: Array, blur_design: Array, bulge: Array,
-    curved: bool, span: Any, profile: Array, dawn: Any, rules: Rules, sensor: Sensor, circle: Array, blurs: int, limbs: int,
-    cov: Array, said: Array,
-) -> bool:  # fmt: skip
-    """False: no circle is determined near by, and what is out means nothing.
-
-    In and out: circle: x, y, r, blur (1 or 3), limb (0 or 3); and out in its next 4: clipped share, median chi2, widest blur,
-    settled. Out: cov of those, and of six of the common levels; said (6, S): contrast, level, offset, information, chi2, weight
-    of the sectors. In: pixels and designs as in Ring and Curve; span: how far inside and outside a curve its pixels may be.
-    """
-    x0, y0 = round(circle[0]), round(circle[1])
-    circle[0] -= x0
-    circle[1] -= y0
-    seen, inside = _gather(image, column, row, count, x0, y0, circle, middle, bulge, curved, span)
-    found = _iterate(
-        seen, inside, middle, design, blur_design, bulge, curved, profile, dawn, rules, sensor, circle, blurs, limbs, cov, said
-    )  # fmt: skip
-    circle[0] += x0
-    circle[1] += y0
-    return found

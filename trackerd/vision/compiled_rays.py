@@ -56,9 +56,10 @@ def _sample(image: Image, x: float, y: float) -> float:
     return float(upper * (1.0 - b) + lower * b)
 
 
-@_part
-def _strengths(image: Image, x: float, y: float, ways: Array, strength: Array, rules: RayRules) -> float:
-    """Steepness of the grey levels along each ray, (rays, samples); the least that counts as an edge."""
+@_kept
+def strengths(image: Image, x: float, y: float, ways: Array, strength: Array, rules: RayRules) -> float:
+    """Steepness of the grey levels along each ray, into strength (rays, samples); the least that counts as an edge. All that
+    depends on the type of the pixels: the rest is compiled once."""
     height, width = image.shape
     rays, samples = strength.shape
     level, total = np.empty(samples), 0.0
@@ -172,14 +173,14 @@ def _refine(points: Array, count: Any, circle: Array, rules: RayRules) -> bool:
 
 @_kept
 def first(
-    image: Image, x: float, y: float, ways: Array, bulge: Array, triple_rays: Any, triple_edges: Any, rules: RayRules,
-    circle: Array,
+    strength: Array, floor_dn: float, x: float, y: float, ways: Array, bulge: Array, triple_rays: Any, triple_edges: Any,
+    rules: RayRules, circle: Array,
 ) -> bool:  # fmt: skip
-    """False: too few rays agree. In: ways (rays, 2) unit vectors, bulge (rays,), triples (m, 3). Out: circle x, y, r."""
+    """False: too few rays agree. In: what `strengths` says, ways (rays, 2) unit vectors, bulge (rays,), triples (m, 3). Out:
+    circle x, y, r."""
     rays, edges = len(ways), 3
-    strength, places = np.empty((rays, int(rules.samples))), np.zeros((rays, edges))
+    places = np.zeros((rays, edges))
     points, count, told = np.empty((rays, edges, 2)), np.zeros(rays, np.int64), 0
-    floor_dn = _strengths(image, x, y, ways, strength, rules)
     for i in range(rays):
         count[i] = _strongest(strength[i], floor_dn, places[i], rules)
         told += count[i] > 0

@@ -13,7 +13,7 @@ from trackerd.vision.rays import REACH_PX, Circle
 
 @cache
 def _compiled() -> ModuleType | None:
-    """The first call loads it: half a second and more with numba, some ten seconds where its cache is cold."""
+    """The first call loads it: half a second and more with numba, half a minute where its cache is cold."""
     try:
         from trackerd.vision import by_numba  # noqa: PLC0415  heavy, and not installed everywhere
     except ImportError:
