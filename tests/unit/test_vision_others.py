@@ -145,3 +145,25 @@ def test_a_leap_is_no_speed_until_a_second_one_is_like_it() -> None:
     assert drift(0.0, 0.0, 75.0)[0] == pytest.approx(75.0)
     assert drift(0.0, 0.0, 75.0, 150.0)[0] == pytest.approx(225.0)
     assert drift(0.0, 8.0, 16.0)[0] == pytest.approx(24.0)
+
+
+def test_a_ball_that_went_out_of_sight_before_a_hole_is_not_forgotten_for_it() -> None:
+    others = Others(for_good=True)
+    others.add([outline(100.0, 100.0), outline(110.0, 100.0, r=52.0, inside=20.0)])
+    assert len(others.known) == 1  # at first, one outline so near to another is the same thing's
+    others.add([outline(170.0, 100.0, r=52.0, inside=20.0)])
+    others.known[0].x_px = 150.0
+    others.go_on((0.0, 0.0))
+    assert others.claim([outline(170.0, 100.0, r=52.0, inside=20.0)], FAR) == []
+    assert [(other.look.r_px, other.unseen) for other in others.known] == [(52.0, 0), (40.0, 1)]
+
+
+def test_where_a_target_was_chosen_no_doubt_ends_and_nobody_is_forgotten() -> None:
+    others = Others(for_good=True)
+    others.add([outline(100.0, 100.0)])
+    for _ in range(20):
+        others.go_on((0.0, 0.0))
+    others.claim([outline(400.0, 300.0)], FAR)
+    for _ in range(2 * FORGOTTEN):
+        others.go_on((0.0, 0.0))
+    assert [other.sure for other in others.known] == [False]

@@ -1,6 +1,6 @@
 """The circle fit's iteration in machine code: by_numpy's, eight times as fast, and other threads go on meanwhile.
 
-Needs numba (extra `fast`). Importing this module loads the machine code from numba's cache on disk (0.5 s), or makes it (20 s and more,
+Needs numba (extra `fast`). Importing this module loads the machine code from a cache on disk (0.5 s), or makes it (half a minute,
 once per installation). Signatures are fixed, so nothing is ever compiled later.
 """
 

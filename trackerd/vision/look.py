@@ -31,7 +31,9 @@ class Look:
 
     def has_levels(self, found: Found) -> bool:
         """Tells a ball from a round hole and from one of another brightness; equal balls look equal."""
-        other = Look.of(found)
+        return self.has_levels_of(Look.of(found))
+
+    def has_levels_of(self, other: "Look") -> bool:
         off_dn = abs(other.inside_dn - self.inside_dn)
         if other.contrast_dn * self.contrast_dn > 0.0:
             return off_dn <= SAME_LEVEL * self.inside_dn + SAME_LEVEL_DN

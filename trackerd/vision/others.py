@@ -65,6 +65,11 @@ class Other:
         alike = same_size(found.r_px, self.look.r_px, ALIKE) and self.look.has_levels(found)
         return alike and self.distance_px(found.x_px, found.y_px) <= self.reach_px
 
+    def may_have_been(self, other: "Other") -> bool:
+        """Whether one that is out of sight may be this one, seen again."""
+        alike = same_size(self.look.r_px, other.look.r_px, ALIKE) and other.look.has_levels_of(self.look)
+        return alike and self.distance_px(other.x_px, other.y_px) <= self.look.r_px
+
     def go_on(self, moved_px: tuple[float, float]) -> None:
         """One frame later; things at rest have moved by this much in the image."""
         self.unseen += 1
@@ -177,7 +182,7 @@ class Others:
         self.known = seen + [
             other
             for other in self.known
-            if other.unseen > 0 and all(s.distance_px(other.x_px, other.y_px) > s.look.r_px for s in seen)
+            if other.unseen > 0 and not any(s.may_have_been(other) for s in seen)
         ]
 
     def add(self, outlines: Sequence[Found], unseen: int = 0, doubted: int | None = None) -> None:
