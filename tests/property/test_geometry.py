@@ -1,7 +1,8 @@
 """What must hold always: there and back through lens, quaternion, gimbal and sphere; covariances against sampling."""
 
 from dataclasses import replace
-from math import hypot, pi, radians
+from math import hypot, pi, radians, remainder
+from typing import Literal
 
 import cv2
 import numpy as np
@@ -17,6 +18,8 @@ from trackerd.geometry.lens import Lens
 from trackerd.geometry.rigid import (
     Rigid,
     cross,
+    euler_321_from_matrix,
+    matrix_from_euler_321,
     matrix_from_quaternion,
     quaternion_from_matrix,
     rotation_about,
@@ -24,7 +27,7 @@ from trackerd.geometry.rigid import (
     rotation_about_y,
     skew,
 )
-from trackerd.geometry.sightline import Instants, sightline
+from trackerd.geometry.sightline import Instants, angular_cov, sightline, tangent_basis
 from trackerd.geometry.sphere import centre_and_range, outline
 
 ARCSEC = pi / 648_000.0
@@ -41,12 +44,19 @@ def quaternions(draw: st.DrawFn) -> Array:
     return q / np.linalg.norm(q)
 
 
-def station(order: AxisOrder = AxisOrder.AZ_OUTER, az_sign: int = 1, el_sign: int = 1, lever_mm: float = -124.5) -> Station:
+def station(
+    order: AxisOrder = AxisOrder.AZ_OUTER,
+    az_sign: int = 1,
+    el_sign: int = 1,
+    lever_mm: float = -124.5,
+    eps_rad: float = 1e-4,
+    d_mm: float = 0.05,
+) -> Station:
     lever = (3.0, lever_mm, 40.0) if order is AxisOrder.AZ_OUTER else (lever_mm, 3.0, 40.0)
     tilt = matrix_from_quaternion(np.array((1.0, 0.01, -0.02, 0.015)))
     mount = matrix_from_quaternion(np.array((1.0, 0.002, -0.003, 0.001)))
     base = Rigid(tilt, np.array((-550.0, 30.0, 10.0)))
-    return Station("left", base, Rigid(mount, np.array(lever)), TRACKING, order, az_sign, el_sign, 1e-4, 0.05)
+    return Station("left", base, Rigid(mount, np.array(lever)), TRACKING, order, az_sign, el_sign, eps_rad, d_mm)
 
 
 every_station = st.builds(
@@ -55,6 +65,8 @@ every_station = st.builds(
     st.sampled_from((1, -1)),
     st.sampled_from((1, -1)),
     st.sampled_from((-124.5, 0.0, 80.0)),
+    st.floats(-0.02, 0.02),
+    st.floats(-5.0, 5.0),
 )
 
 
@@ -100,6 +112,35 @@ def test_the_cross_product_and_its_matrix_are_numpys(a: tuple[float, ...], b: tu
     assert np.allclose(skew(np.array(a)) @ b, np.cross(a, b))
 
 
+@given(st.tuples(*[st.floats(-pi, pi)] * 2), st.floats(-1.5, 1.5))
+def test_321_angles_survive_the_matrix(turns: tuple[float, float], theta: float) -> None:
+    psi, phi = turns
+    back = euler_321_from_matrix(matrix_from_euler_321(psi, theta, phi))
+    for angle_rad, expected in zip(back, (psi, theta, phi), strict=True):
+        assert abs((angle_rad - expected + pi) % (2 * pi) - pi) < 1e-10
+
+
+@given(quaternions())
+def test_any_rotation_survives_its_321_angles(q: Array) -> None:
+    matrix = matrix_from_quaternion(q)
+    assert np.allclose(matrix_from_euler_321(*euler_321_from_matrix(matrix)), matrix, atol=1e-7)
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_in_gimbal_lock_the_whole_turn_is_psis_and_the_rotation_is_kept(sign: float) -> None:
+    matrix = matrix_from_euler_321(0.7, sign * pi / 2, 0.3)
+    psi, theta, phi = euler_321_from_matrix(matrix)
+    assert (theta, phi) == (sign * pi / 2, 0.0)
+    assert psi == pytest.approx(0.7 - sign * 0.3)
+    assert np.allclose(matrix_from_euler_321(psi, theta, phi), matrix, atol=1e-12)
+
+
+def test_321_angles_turn_about_x_first_and_about_z_last() -> None:
+    assert np.allclose(matrix_from_euler_321(0.3, 0.0, 0.0) @ (1.0, 0.0, 0.0), (np.cos(0.3), np.sin(0.3), 0.0))
+    both = matrix_from_euler_321(pi / 2, 0.0, pi / 2)
+    assert np.allclose(both @ (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))  # y to z by the first turn, where the last one leaves it
+
+
 # ---- lens ------------------------------------------------------------------------------------------------------------
 
 
@@ -126,16 +167,35 @@ def test_the_lens_is_opencvs_and_its_jacobian_its_slope(lens: Lens, x: float, y:
 # ---- gimbal ----------------------------------------------------------------------------------------------------------
 
 
-@given(every_station, st.tuples(unit, unit, unit), st.tuples(unit, unit))
-@settings(max_examples=60)
-def test_a_station_aimed_at_a_point_sees_it_at_the_pixel(s: Station, p: tuple[float, ...], q: tuple[float, float]) -> None:
+@given(every_station, st.tuples(unit, unit, unit), st.tuples(unit, unit), st.sampled_from((1, 2)))
+@settings(max_examples=120)
+def test_a_station_aimed_at_a_point_sees_it_at_the_pixel(
+    s: Station, p: tuple[float, ...], q: tuple[float, float], face: Literal[1, 2]
+) -> None:
+    """To 1e-9 px by either face, whatever the order, the signs, the errors and the lever arm."""
     point = np.array((0.0, 0.0, 1900.0)) + np.array(p) * (500.0, 500.0, 400.0)
     pixel = np.array((s.lens.cx_px, s.lens.cy_px)) + np.array(q) * 300.0
-    assert np.allclose(s.pixel(point, *s.aim(point)), (s.lens.cx_px, s.lens.cy_px), atol=1e-5)
-    az, el = s.aim(point, pixel)
-    assert np.allclose(s.pixel(point, az, el), pixel, atol=1e-5)
-    range_mm = float(np.linalg.norm(point - s.world_from_camera(az, el).translation_mm))
+    assert np.abs(s.pixel(point, *s.aim(point, face=face)) - (s.lens.cx_px, s.lens.cy_px)).max() < 1e-9
+    az, el = s.aim(point, pixel, face)
+    assert np.abs(s.pixel(point, az, el) - pixel).max() < 1e-9
+    camera = s.world_from_camera(az, el)
+    assert camera.inverse().move(point)[2] > 0.0
+    range_mm = float(np.linalg.norm(point - camera.translation_mm))
     assert np.allclose(s.point_at(pixel, az, el, range_mm), point, atol=1e-6)
+
+
+@given(every_station, st.tuples(unit, unit, unit))
+def test_the_second_face_is_half_a_turn_of_the_outer_axis_and_over_the_top_of_the_inner_one(
+    s: Station, p: tuple[float, ...]
+) -> None:
+    point = np.array((0.0, 0.0, 1900.0)) + np.array(p) * (500.0, 500.0, 400.0)
+    outer, inner = (0, 1) if s.order is AxisOrder.AZ_OUTER else (1, 0)
+    ideal = replace(s, rg_from_camera=Rigid.identity(), eps_rad=0.0, d_mm=0.0)
+    for each, tolerance_rad in ((ideal, 1e-9), (s, 0.2)):  # lever arm, mount and errors turn them a little
+        first, second = each.aim(point), each.aim(point, face=2)
+        assert abs(remainder(second[outer] - first[outer] - pi, 2 * pi)) < tolerance_rad
+        assert abs(remainder(second[inner] + first[inner] - pi, 2 * pi)) < tolerance_rad
+        assert max(map(abs, (*first, *second))) < pi + tolerance_rad
 
 
 @given(every_station, angle, angle)
@@ -162,6 +222,26 @@ def test_a_point_inside_the_lever_arm_cannot_be_aimed_at() -> None:
     s = station()
     with pytest.raises(Degenerate, match="inside the lever arm"):
         s.aim(s.world_from_gimbal.move(np.array((2000.0, 50.0, 20.0))))
+
+
+@pytest.mark.parametrize("order", AxisOrder)
+@pytest.mark.parametrize("face", [1, 2])
+def test_a_point_on_the_outer_axis_cannot_be_seen_beside_the_inner_axis_great_circle(
+    order: AxisOrder, face: Literal[1, 2]
+) -> None:
+    """The outer axis does not move it there, so that it is told as what it is, not as some pair of angles."""
+    s = replace(station(order, lever_mm=0.0), rg_from_camera=Rigid.identity(), eps_rad=0.0, d_mm=0.0)
+    az_outer = order is AxisOrder.AZ_OUTER
+    on_axis = s.world_from_gimbal.move(np.array((1500.0, 0.0, 0.0) if az_outer else (0.0, 1500.0, 0.0)))
+    beside = np.array((s.lens.cx_px, s.lens.cy_px)) + ((0.0, 300.0) if az_outer else (300.0, 0.0))
+    with pytest.raises(Degenerate, match="cannot be aimed"):
+        s.aim(on_axis, beside, face)
+
+
+def test_a_target_that_the_pupil_has_passed_cannot_be_aimed_at() -> None:
+    s = replace(station(), rg_from_camera=Rigid(np.eye(3), np.array((0.0, -124.5, 400.0))))
+    with pytest.raises(Degenerate, match="behind the camera"):
+        s.aim(s.world_from_gimbal.move(np.array((0.0, 0.0, 300.0))))
 
 
 def test_the_order_of_the_axes_matters() -> None:
@@ -266,6 +346,41 @@ def test_the_covariance_of_a_line_of_sight_is_what_sampling_finds(
     values, vectors = np.linalg.eigh(claimed)
     basis = vectors[:, 1:] / np.sqrt(values[1:])
     assert np.allclose(basis.T @ sampled @ basis, np.eye(2), atol=0.15)
+
+
+@given(st.tuples(unit, unit, unit))
+def test_the_tangent_basis_is_right_handed_and_across_the_line(d: tuple[float, ...]) -> None:
+    assume(hypot(*d) > 0.1)
+    direction = np.array(d) / hypot(*d)
+    u, v = tangent_basis(direction)
+    assert np.allclose(np.cross(u, v), direction, atol=1e-12)
+    assert np.allclose((u @ u, v @ v, u @ v, u @ direction), (1.0, 1.0, 0.0, 0.0), atol=1e-12)
+    assert np.abs(u).min() == 0.0  # level as seen along an axis of W
+
+
+@given(every_station, st.tuples(unit, unit))
+@settings(max_examples=40)
+def test_two_angles_carry_the_whole_covariance_of_a_line(s: Station, q: tuple[float, float]) -> None:
+    az, el = s.aim(POINT, np.array((s.lens.cx_px, s.lens.cy_px)) + np.array(q) * 300.0)
+    found = seen(s, POINT, az, el, np.array(((0.01, 0.004, 0.0), (0.004, 0.02, 0.0), (0.0, 0.0, 0.01))))
+    line = sightline(s, found, angles_at(az, el, 2 * ARCSEC, 3 * ARCSEC), 12.7, INSTANTS)
+    basis = tangent_basis(line.direction)
+    for part, whole in zip(angular_cov(line), (line.cov_rad2, line.fixed_cov_rad2), strict=True):
+        assert part.shape == (2, 2)
+        assert np.linalg.eigvalsh(part)[0] > 0.0
+        assert np.allclose(basis.T @ part @ basis, whole, rtol=1e-9, atol=1e-20)
+
+
+def test_the_two_angles_scatter_as_their_covariance_says() -> None:
+    s, rng, cov_px2 = station(), np.random.default_rng(8), np.array(((0.01, 0.006, 0.0), (0.006, 0.01, 0.0), (0.0, 0.0, 0.01)))
+    az, el = s.aim(POINT, np.array((1300.0, 500.0)))
+    found = seen(s, POINT, az, el, cov_px2)
+    line = sightline(s, found, angles_at(az, el, 0.0, 0.0), 12.7, INSTANTS)
+    basis, claimed = tangent_basis(line.direction), angular_cov(line)[0]
+    shifts = rng.multivariate_normal(np.zeros(2), cov_px2[:2, :2], 2000)
+    shifted = (replace(found, x_px=found.x_px + float(x), y_px=found.y_px + float(y)) for x, y in shifts)
+    errors = np.array([basis @ sightline(s, each, angles_at(az, el, 0.0, 0.0), 12.7, INSTANTS).direction for each in shifted])
+    assert 0.9 < np.einsum("ni,ij,nj->n", errors, np.linalg.inv(claimed), errors).mean() / 2.0 < 1.1
 
 
 def test_a_lever_arm_of_zero_leaves_only_the_turn() -> None:

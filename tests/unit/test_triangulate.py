@@ -3,11 +3,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from made_cells import CELLS, cell
 from made_lines import ARCSEC, CENTRE, STATIONS, line, nees, still
 
 from trackerd.contract.errors import Degenerate
 from trackerd.contract.model import Array, Sightline
-from trackerd.geometry.triangulate import triangulate
+from trackerd.geometry.triangulate import Method, triangulate
 
 PAIR = ("left", "right")
 
@@ -35,6 +36,46 @@ def test_the_covariance_and_chi2_are_what_sampling_finds(stations: Sequence[str]
     assert np.all(np.abs(errors.mean(axis=0)) < 4 * errors.std(axis=0) / np.sqrt(len(errors)))
     if len(stations) == 2:
         assert 0.93 < np.mean([(point.miss_mm / point.miss_sigma_mm) ** 2 for point in points]) < 1.07
+
+
+@pytest.mark.parametrize("stations", [2, 3, 4, 6])
+@pytest.mark.parametrize("kind", list(CELLS))
+def test_each_method_states_the_covariance_that_it_has(kind: str, stations: int) -> None:
+    """And the chi-square of the lines, which is the same by all of them: how well they meet is not the estimator's."""
+    made = cell(kind, stations)
+    draws = made.draws(np.random.default_rng(stations), 2000)
+    ratio, chi2 = {}, {}
+    for method in Method:
+        points = [triangulate(lines, method) for lines in draws]
+        errors = np.array([point.p_mm - made.target_mm for point in points])
+        assert 0.95 < nees(errors, np.array([point.cov_mm2 for point in points])) < 1.05
+        ratio[method] = np.sqrt((errors**2).sum(axis=1).mean() / made.bound.trace())
+        chi2[method] = np.array([point.chi2 for point in points])
+        assert chi2[method].mean() / points[0].dof == pytest.approx(1.0, abs=0.11)
+    for each in chi2.values():
+        assert np.allclose(each, chi2[Method.MAXIMUM_LIKELIHOOD], rtol=1e-3, atol=1e-3)
+    assert ratio[Method.MAXIMUM_LIKELIHOOD] == pytest.approx(1.0, abs=0.03)
+    assert ratio[Method.RANGE_WEIGHTED] < ratio[Method.UNWEIGHTED] + 0.01
+
+
+def test_lines_of_unequal_range_are_worth_weighting() -> None:
+    made = cell("5 x 5 m", 6)
+    draws = made.draws(np.random.default_rng(5), 800)
+    rms = {
+        method: np.sqrt(np.mean([((triangulate(lines, method).p_mm - made.target_mm) ** 2).sum() for lines in draws]))
+        for method in Method
+    }
+    assert rms[Method.UNWEIGHTED] > 1.1 * rms[Method.RANGE_WEIGHTED]
+    assert rms[Method.RANGE_WEIGHTED] < 1.05 * rms[Method.MAXIMUM_LIKELIHOOD]
+
+
+@pytest.mark.parametrize("method", list(Method))
+def test_the_unweighted_point_is_the_one_nearest_to_the_lines_and_all_methods_close_without_noise(method: Method) -> None:
+    left, right = lines_of(PAIR)
+    assert np.allclose(triangulate([left, right], method).p_mm, CENTRE, atol=1e-8)
+    raised = replace(right, origin_mm=right.origin_mm + np.array((0.0, 3.0, 0.0)), cov_rad2=100.0 * right.cov_rad2)
+    shares = {Method.UNWEIGHTED: 0.5, Method.RANGE_WEIGHTED: 0.01, Method.MAXIMUM_LIKELIHOOD: 0.01}
+    assert triangulate([left, raised], method).p_mm[1] - CENTRE[1] == pytest.approx(3.0 * shares[method], rel=0.02)
 
 
 def test_unequal_lines_are_weighted_by_their_covariance() -> None:
@@ -101,21 +142,25 @@ def test_a_share_of_the_covariance_along_the_line_does_not_pull_the_point() -> N
     assert np.allclose(point.p_mm, CENTRE, atol=1e-6)
 
 
-def test_less_than_two_lines_are_refused() -> None:
-    with pytest.raises(Degenerate, match="needs two lines of sight, here 1"):
-        triangulate(lines_of(("left",)))
+@pytest.mark.parametrize("method", list(Method))
+def test_less_than_two_lines_are_refused(method: Method) -> None:
+    for stations in ((), ("left",)):
+        with pytest.raises(Degenerate, match=f"needs two lines of sight, here {len(stations)}"):
+            triangulate(lines_of(stations), method)
 
 
-def test_nearly_parallel_lines_are_refused() -> None:
+@pytest.mark.parametrize("method", list(Method))
+def test_nearly_parallel_lines_are_refused(method: Method) -> None:
     left, _ = lines_of(PAIR)
     with pytest.raises(Degenerate, match="within 1 deg of parallel"):
-        triangulate([left, replace(left, station="right", origin_mm=left.origin_mm + np.array((10.0, 0.0, 0.0)))])
+        triangulate([left, replace(left, station="right", origin_mm=left.origin_mm + np.array((10.0, 0.0, 0.0)))], method)
 
 
-def test_a_point_behind_a_camera_is_refused_and_the_camera_named() -> None:
+@pytest.mark.parametrize("method", list(Method))
+def test_a_point_behind_a_camera_is_refused_and_the_camera_named(method: Method) -> None:
     left, right = lines_of(PAIR)
     with pytest.raises(Degenerate, match="behind the camera of station right"):
-        triangulate([left, replace(right, direction=-right.direction)])
+        triangulate([left, replace(right, direction=-right.direction)], method)
 
 
 @pytest.mark.parametrize("name", ["origin_mm", "direction", "cov_rad2", "fixed_cov_rad2"])

@@ -5,7 +5,8 @@ Every angle here is the encoder's; the axis angle is sign x encoder angle.
 
 from dataclasses import dataclass
 from enum import StrEnum
-from math import acos, atan2, cos, hypot, sin
+from math import acos, atan2, cos, hypot, remainder, sin, tau
+from typing import Literal
 
 import numpy as np
 
@@ -98,18 +99,24 @@ class Station:
         """The point of W at `range_mm` from the entrance pupil that is seen at a pixel."""
         return self.world_from_camera(az_rad, el_rad).move(self.lens.unproject(q_px) * range_mm)
 
-    def aim(self, p_world_mm: Array, q_px: Array | None = None) -> tuple[float, float]:
+    def aim(self, p_world_mm: Array, q_px: Array | None = None, face: Literal[1, 2] = 1) -> tuple[float, float]:
         """Encoder angles that show a point of W at a pixel (default: the principal point).
 
-        Closed form for the ideal gimbal, then Newton on the full model. Raises Degenerate where no pose does it.
+        Face 2 is the other way to look there: the outer axis half a turn on, the inner one over the top (az + 180 deg,
+        180 deg - el for az_outer without lever arm and errors). Angles are within half a turn of 0; adding whole turns to suit
+        the travel is the caller's. Closed form for the ideal gimbal, then Newton on the full model. Raises Degenerate where no
+        pose does it.
         """
         aim_px = np.array((self.lens.cx_px, self.lens.cy_px)) if q_px is None else q_px
-        az, el = self._first_aim(p_world_mm)
+        az, el = self._first_aim(p_world_mm, face)
         for _ in range(AIM_STEPS):
             error = aim_px - self._pixel_in_front(p_world_mm, az, el)
             if np.abs(error).max() < AIM_TOLERANCE_PX:
                 return az, el
-            step = np.linalg.solve(self.pixel_jacobian(p_world_mm, az, el), error)
+            try:
+                step = np.linalg.solve(self.pixel_jacobian(p_world_mm, az, el), error)
+            except np.linalg.LinAlgError:
+                break
             step *= min(1.0, 0.2 / float(np.abs(step).max()))
             az, el = az + float(step[0]), el + float(step[1])
         if np.abs(error).max() < 1e-5:
@@ -122,16 +129,18 @@ class Station:
             raise Degenerate(f"station {self.name}: {np.round(p_world_mm, 1)} mm is behind the camera")
         return self.lens.project(p_camera)
 
-    def _first_aim(self, p_world_mm: Array) -> tuple[float, float]:
+    def _first_aim(self, p_world_mm: Array, face: Literal[1, 2]) -> tuple[float, float]:
+        """Of the ideal gimbal, which turns the lever arm to either side of the target."""
         x, y, z = self.world_from_gimbal.inverse().move(p_world_mm)
         lever_x, lever_y, _ = self.rg_from_camera.translation_mm
+        side = 1.0 if face == 1 else -1.0
         if self.order is AxisOrder.AZ_OUTER:
-            az = atan2(z, y) - acos(_reachable(lever_y, hypot(y, z)))
+            az = atan2(z, y) - side * acos(_reachable(lever_y, hypot(y, z)))
             el = atan2(x, -y * sin(az) + z * cos(az))
         else:
-            el = acos(_reachable(lever_x, hypot(x, z))) - atan2(z, x)
+            el = side * acos(_reachable(lever_x, hypot(x, z))) - atan2(z, x)
             az = -atan2(y, x * sin(el) + z * cos(el))
-        return self.az_sign * az, self.el_sign * el
+        return self.az_sign * remainder(az, tau), self.el_sign * remainder(el, tau)
 
     def _turns(self, az_rad: float, el_rad: float) -> tuple[Array, Array]:
         """Rotation of the outer axis and of the inner one."""

@@ -2,10 +2,13 @@
 
 from dataclasses import dataclass
 from math import sqrt
+from typing import TypeVar
 
 import numpy as np
 
 from trackerd.contract.model import Array
+
+Real = TypeVar("Real", float, Array)
 
 UNDISTORT_STEPS = 20
 UNDISTORT_TOLERANCE = 1e-13  # of the image plane at unit distance: 3e-9 px at f = 31000 px
@@ -25,7 +28,7 @@ class Lens:
     def project(self, p_camera_mm: Array) -> Array:
         """Pixel (2,) of a point (3,) in C. The point must be in front (z > 0)."""
         x, y = p_camera_mm[0] / p_camera_mm[2], p_camera_mm[1] / p_camera_mm[2]
-        xd, yd = self._distort(x, y)
+        xd, yd = self.distort(x, y)
         return np.array((self.fx_px * xd + self.cx_px, self.fy_px * yd + self.cy_px))
 
     def normalise(self, q_px: Array) -> tuple[float, float]:
@@ -33,8 +36,8 @@ class Lens:
         xd, yd = (float(q_px[0]) - self.cx_px) / self.fx_px, (float(q_px[1]) - self.cy_px) / self.fy_px
         x, y = xd, yd
         for _ in range(UNDISTORT_STEPS):
-            xe, ye = self._distort(x, y)
-            a, b, c, d = self._distortion_jacobian(x, y)
+            xe, ye = self.distort(x, y)
+            a, b, c, d = self.distortion_slopes(x, y)
             ex, ey = xd - xe, yd - ye
             det = a * d - b * c
             step_x, step_y = (d * ex - b * ey) / det, (a * ey - c * ex) / det
@@ -53,16 +56,17 @@ class Lens:
         """d pixel / d point, (2, 3)."""
         x, y, z = p_camera_mm.tolist()
         x, y = x / z, y / z
-        a, b, c, d = self._distortion_jacobian(x, y)
+        a, b, c, d = self.distortion_slopes(x, y)
         a, b, c, d = self.fx_px * a / z, self.fx_px * b / z, self.fy_px * c / z, self.fy_px * d / z
         return np.array(((a, b, -a * x - b * y), (c, d, -c * x - d * y)))
 
     def area(self, x: float, y: float) -> float:
         """Of a small patch of the plane at unit distance, at an undistorted point: px^2 on the sensor."""
-        a, b, c, d = self._distortion_jacobian(x, y)
+        a, b, c, d = self.distortion_slopes(x, y)
         return self.fx_px * self.fy_px * abs(a * d - b * c)
 
-    def _distort(self, x: float, y: float) -> tuple[float, float]:
+    def distort(self, x: Real, y: Real) -> tuple[Real, Real]:
+        """Where points (x, y) of the plane at unit distance are imaged on it: numbers, or arrays of one shape."""
         k1, k2, p1, p2, k3 = self.distortion
         r2 = x * x + y * y
         radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
@@ -71,8 +75,8 @@ class Lens:
             y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y,
         )
 
-    def _distortion_jacobian(self, x: float, y: float) -> tuple[float, float, float, float]:
-        """dxd/dx, dxd/dy, dyd/dx, dyd/dy."""
+    def distortion_slopes(self, x: Real, y: Real) -> tuple[Real, Real, Real, Real]:
+        """dxd/dx, dxd/dy, dyd/dx, dyd/dy of `distort`."""
         k1, k2, p1, p2, k3 = self.distortion
         r2 = x * x + y * y
         radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))

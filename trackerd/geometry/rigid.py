@@ -1,11 +1,13 @@
 """Rigid transforms, written b_from_a: p_b = R_b_from_a p_a + t_b_from_a. Points are moved, directions only turned."""
 
 from dataclasses import dataclass
-from math import cos, sin
+from math import atan2, cos, hypot, pi, sin
 
 import numpy as np
 
 from trackerd.contract.model import Array
+
+EULER_LOCKED = 1e-9  # cos(theta): closer to the lock rounding alone would tell psi and phi apart
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,6 +99,25 @@ def quaternion_from_matrix(rotation: Array) -> Array:
     q[i] = np.sqrt(squares[i]) / 2
     q = q / np.linalg.norm(q)
     return np.asarray(-q if q[0] < 0 else q)
+
+
+def matrix_from_euler_321(psi_rad: float, theta_rad: float, phi_rad: float) -> Array:
+    """R = Rz(psi) Ry(theta) Rx(phi): turned about x first, then about the fixed y, then about the fixed z."""
+    about_z = rotation_about(np.array((0.0, 0.0, 1.0)), psi_rad)
+    return np.asarray(about_z @ rotation_about_y(theta_rad) @ rotation_about_x(phi_rad))
+
+
+def euler_321_from_matrix(rotation: Array) -> tuple[float, float, float]:
+    """psi, theta, phi of R = Rz(psi) Ry(theta) Rx(phi), for printing: psi and phi in (-pi, pi], theta within +-pi/2.
+
+    At theta = +-pi/2 (gimbal lock) only psi -+ phi is determined: phi is 0 there, and the whole turn is psi's. Near it psi and
+    phi are uncertain, not the rotation: calculate with matrices and quaternions.
+    """
+    r = rotation
+    across = hypot(r[0, 0], r[1, 0])
+    if across < EULER_LOCKED:
+        return atan2(-r[0, 1], r[1, 1]), (pi / 2 if r[2, 0] < 0.0 else -pi / 2), 0.0
+    return atan2(r[1, 0], r[0, 0]), atan2(-r[2, 0], across), atan2(r[2, 1], r[2, 2])
 
 
 def cross(a: Array, b: Array) -> Array:

@@ -8,6 +8,7 @@ import numpy as np
 from trackerd.contract.clock import HostNs
 from trackerd.contract.model import Array, AxisAngles, Found, Sightline
 from trackerd.geometry.gimbal import Station
+from trackerd.geometry.rigid import cross
 from trackerd.geometry.sphere import centre_and_range
 
 
@@ -61,6 +62,28 @@ def seen(station: Station, found: Found, angles: AxisAngles, radius_mm: float, i
         received=instants.received,
     )
     return Seen(line, -px_per_angle @ swing)
+
+
+def tangent_basis(direction: Array) -> Array:
+    """Two unit vectors u and v across a unit direction (3,), as rows (2, 3); u x v is the direction.
+
+    u is level as seen along the axis of W that the direction is farthest from (the first of equals): u = axis x direction,
+    normalised. It jumps where that axis changes, so bases of different directions are not to be mixed.
+    """
+    axis = np.zeros(3)
+    axis[int(np.argmin(np.abs(direction)))] = 1.0
+    u = cross(axis, direction)
+    u /= sqrt(float(u @ u))
+    return np.array((u, cross(direction, u)))
+
+
+def angular_cov(line: Sightline) -> tuple[Array, Array]:
+    """The line's covariance as that of two angles: random and fixed part, (2, 2) each in rad^2, in `tangent_basis`.
+
+    To first order the direction is d + a u + b v with (a, b) of this covariance; cov_rad2 = basis.T @ cov @ basis.
+    """
+    basis = tangent_basis(line.direction)
+    return basis @ line.cov_rad2 @ basis.T, basis @ line.fixed_cov_rad2 @ basis.T
 
 
 def _inverse(matrix: Array) -> Array:
