@@ -14,7 +14,7 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "unit"))
 
-from made_cells import CELLS, Cell, cell
+from looking_cells import CELLS, Cell, cell
 from made_lines import nees
 
 from trackerd.contract.model import Sightline

@@ -3,7 +3,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from made_cells import CELLS, cell
+from looking_cells import CELLS, cell
 from made_lines import ARCSEC, CENTRE, STATIONS, line, nees, still
 
 from trackerd.contract.errors import Degenerate

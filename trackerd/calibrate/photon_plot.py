@@ -15,7 +15,7 @@ ENDINGS = (".svg", ".png", ".pdf")
 MEASURED, TOTAL, PHOTONS, READ, ROUNDING = "#262626", "#0072B2", "#E69F00", "#009E73", "#8C8C8C"  # Okabe and Ito's
 PIXELS_AN_INCH = 120
 
-_LOOK: Any = {
+LOOK: Any = {
     "font.size": 9.0,
     "axes.spines.top": False,
     "axes.spines.right": False,
@@ -33,7 +33,7 @@ _LOOK: Any = {
 def draw(noise: CameraNoise, title: str, path: Path) -> None:
     """Writes the plot, in the format of the path's ending. Raises TrackerdError where the file cannot be written."""
     date: dict[str, Any] = {"metadata": {"Date": None}} if path.suffix.lower() == ".svg" else {}
-    with mpl.rc_context(_LOOK):
+    with mpl.rc_context(LOOK):
         figure = Figure(figsize=(7.2, 6.4), dpi=PIXELS_AN_INCH, facecolor="white", layout="constrained")
         figure.suptitle(f"{title}\n{_figures(noise)}", x=0.02, ha="left", fontsize=11)
         curve, residuals = figure.subplots(2, 1, sharex=True, height_ratios=(3, 1))

@@ -2,18 +2,14 @@
 
 import asyncio
 import sys
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-
-from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-from rich.table import Table
 
 from trackerd.calibrate.noise import CameraNoise, measure_noise
 from trackerd.calibrate.photon_plot import ENDINGS, draw
 from trackerd.calibrate.still_frames import FEWEST_FRAMES
+from trackerd.cli.telling import print_rows, progress
 from trackerd.contract.errors import ConfigError
 from trackerd.contract.model import Image
 from trackerd.formats.config import CellConfig
@@ -55,7 +51,7 @@ def _from_files(request: NoiseRequest, path: Path) -> None:
         for note in one.notes:
             print(f"note: {note}", file=sys.stderr)
         out = request.out if len(series) == 1 else request.out.with_stem(f"{request.out.stem}.{one.name}")
-        with _progress("reading", 2 * one.count) as advance:
+        with progress("reading", 2 * one.count) as advance:
             found = measure_noise(one.frames, advance)
         _tell(found, one.name, _camera_of(cell, request.camera, one.station), out)
 
@@ -76,23 +72,15 @@ def _from_camera(request: NoiseRequest) -> None:
         raise ConfigError(f"--frames {request.frames}: needs at least {FEWEST_FRAMES}")
     cell = load(request.config, request.overrides)
     camera = camera_of(cell, request.camera)
-    with _progress("grabbing", request.frames) as advance:
+    with progress("grabbing", request.frames) as advance:
         images = asyncio.run(grab(cell, request.camera, request.frames, request.overrides, lambda _: advance()))
 
     def frames() -> Iterator[tuple[str, Image]]:
         yield from ((f"frame {n}", image) for n, image in enumerate(images))
 
-    with _progress("computing", 2 * len(images)) as advance:
+    with progress("computing", 2 * len(images)) as advance:
         found = measure_noise(frames, advance)
     _tell(found, request.camera, (request.camera, camera), request.out)
-
-
-@contextmanager
-def _progress(words: str, steps: int) -> Iterator[Callable[[], None]]:
-    columns = TextColumn(words), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn()
-    with Progress(*columns, console=Console(stderr=True), transient=True, disable=not sys.stderr.isatty()) as bar:
-        task = bar.add_task(words, total=steps)
-        yield lambda: bar.advance(task)
 
 
 def _tell(found: CameraNoise, name: str, camera: tuple[str, CameraSettings | None], out: Path) -> None:
@@ -102,24 +90,11 @@ def _tell(found: CameraNoise, name: str, camera: tuple[str, CameraSettings | Non
     rows = list(_rows(found))
     if now is not None:
         rows.append(("the file says", f"gain_e_per_dn = {now.gain_e_per_dn:g}, read_noise_e = {now.read_noise_e:g}"))
-    _print(name, rows)
+    print_rows(name, rows)
     for note in found.notes:
         print(f"note: {note}", file=sys.stderr)
     print(f"written: {out}")
     print(f"\n[camera.{table}]\ngain_e_per_dn = {found.gain_e_per_dn:#.4g}\nread_noise_e = {found.read_noise_e:#.3g}")
-
-
-def _print(name: str, rows: Sequence[tuple[str, str]]) -> None:
-    """A table on a terminal, plain lines elsewhere."""
-    console = Console()
-    if not console.is_terminal:
-        for title, words in rows:
-            print(f"{title}: {words}")
-        return
-    table = Table(title=name, show_header=False, title_justify="left")
-    for row in rows:
-        table.add_row(*row)
-    console.print(table)
 
 
 def _rows(found: CameraNoise) -> Iterator[tuple[str, str]]:

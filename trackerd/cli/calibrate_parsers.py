@@ -18,7 +18,7 @@ def add_calibrate(commands: Commands) -> Iterator[argparse.ArgumentParser]:
         help="measure what the cell's file says of its devices",
         description="Measures what the cell's file says of its devices, and prints the lines for it.",
     ).add_subparsers(title="what", metavar="WHAT", required=True)
-    for add in (_add_noise,):
+    for add in (_add_noise, _add_latency):
         yield add(what)
 
 
@@ -43,4 +43,29 @@ def _noise(options: argparse.Namespace) -> int:
     from trackerd.cli.calibrate_noise import NoiseRequest, noise
 
     noise(NoiseRequest(options.path, options.out, options.config, options.camera, options.frames, options.overrides))
+    return DONE
+
+
+def _add_latency(what: Commands) -> argparse.ArgumentParser:
+    parser = what.add_parser(
+        "latency",
+        help="how late the encoders' angles are, from a recording of a sweep over a still target",
+        description="The constant time from a frame's mid-exposure to the instant at which its angles were taken, of each axis,"
+        " with its sigma and a plot, from a recording in which the gimbal sweeps to and fro over a still ball: both axes, fast,"
+        " exposed shortly. --config tells the camera's noise and region, the ball's radius and the encoders' noise. Exit"
+        " status 3 where the sweep does not tell it, in words that say what would.",
+    )
+    parser.add_argument(
+        "path", type=Path, metavar="RECORDING", help="a recording (twin --record), or one station's folder in it"
+    )
+    parser.add_argument("--out", type=Path, metavar="FILE", default=Path("latency.svg"), help="the plot (default: latency.svg)")
+    parser.add_argument("--station", metavar="NAME", help="this station of the recording only")
+    parser.set_defaults(run=_latency, needs_config=False)
+    return parser
+
+
+def _latency(options: argparse.Namespace) -> int:
+    from trackerd.cli.calibrate_latency import LatencyRequest, latency
+
+    latency(LatencyRequest(options.path, options.out, options.station, options.config, options.overrides))
     return DONE

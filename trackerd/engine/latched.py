@@ -27,13 +27,19 @@ class RecordingTime:
 
 
 class Encoders(Protocol):
-    """The two sigmas of the encoders; GimbalSettings has them."""
+    """The sigmas of the encoders, and how late their angles are (az, el); GimbalSettings has them."""
 
     @property
     def encoder_sigma_rad(self) -> float: ...
 
     @property
     def encoder_fixed_rad(self) -> float: ...
+
+    @property
+    def latch_offset_s(self) -> tuple[float, float]: ...
+
+    @property
+    def latch_offset_sigma_s(self) -> tuple[float, float]: ...
 
 
 class LatchedAngles:
@@ -87,17 +93,18 @@ class LatchedAngles:
         if report is None or reason:
             return NoAngle(reason)
         if self._info.edges == 0:
-            return self._angles(report.az_rad, report.el_rad, None, 0.0, "fixed")
+            still = Match(0, report.az_rad, report.el_rad, 0.0, 0.0, 0)
+            return self._angles(still, None, 0.0, "fixed")
         found = self._matcher.match(frame.frame_id, frame.mid_exposure, self._latches)
         if not isinstance(found, Match):
             return found
         if self._info.clock is ClockKind.RECORDING:
             host = self._recording.host(found.instant_ns, now)
-            return self._angles(found.az_rad, found.el_rad, host, 0.0, "recording")
+            return self._angles(found, host, 0.0, "recording")
         instant = self._fit.host(found.instant_ns)
         if instant is None:
             return NoAngle("the controller's clock is not known yet")
-        return self._angles(found.az_rad, found.el_rad, *instant, "latch")
+        return self._angles(found, *instant, "latch")
 
     def _remember(self, latches: tuple[Latch, ...]) -> None:
         """The same tuple as long as nothing new is in it: the matcher indexes it once."""
@@ -121,6 +128,18 @@ class LatchedAngles:
         """How well the controller's clock is known."""
         return self._fit.statistics() if self._fit.ready else None
 
-    def _angles(self, az: float, el: float, instant: HostNs | None, sigma_ns: float, source: str) -> AxisAngles:
-        sigma_rad = hypot(self._encoders.encoder_sigma_rad, self._info.latch_sigma_rad)
-        return AxisAngles(az, el, sigma_rad, self._encoders.encoder_fixed_rad, instant, sigma_ns, source)
+    def _angles(self, found: Match, instant: HostNs | None, sigma_ns: float, source: str) -> AxisAngles:
+        """At mid-exposure: what was latched later or earlier is taken back by the speed. What is not known of the lateness is
+        the same error in every frame at that speed, and so no noise."""
+        (late_az, late_el), (sigma_az, sigma_el) = self._encoders.latch_offset_s, self._encoders.latch_offset_sigma_s
+        return AxisAngles(
+            az_rad=found.az_rad - found.az_rad_s * late_az,
+            el_rad=found.el_rad - found.el_rad_s * late_el,
+            sigma_rad=hypot(self._encoders.encoder_sigma_rad, self._info.latch_sigma_rad),
+            fixed_sigma_rad=hypot(
+                self._encoders.encoder_fixed_rad, max(abs(found.az_rad_s) * sigma_az, abs(found.el_rad_s) * sigma_el)
+            ),
+            instant=instant,
+            instant_sigma_ns=sigma_ns,
+            source=source,
+        )

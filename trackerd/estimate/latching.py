@@ -7,13 +7,14 @@ searched by time, and a new k is believed when three frames in a row agree on it
 
 from bisect import bisect_left
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TypeAlias
 
 from trackerd.contract.clock import CameraNs
 from trackerd.contract.model import Latch, NoAngle
 
 RATE_TOLERANCE = 100e-6  # of the interval: two free crystals
+LONGEST_NS = 250_000_000  # exposures farther apart tell no speed
 CONFIRMATIONS = 3
 
 
@@ -24,7 +25,7 @@ class Match:
     index: int
     az_rad: float
     el_rad: float
-    az_rad_s: float  # over the exposure; 0 where only one edge is latched
+    az_rad_s: float  # by this exposure and the two before it; by its edges where there are none, 0 where there is but one edge
     el_rad_s: float
     instant_ns: int  # mid-exposure by the controller's clock, in ns (half a us matters: the edges are whole us)
 
@@ -51,6 +52,22 @@ class _Ring:
 
     by_index: dict[int, Match]
     by_time: list[Match]
+
+    def moving(self, match: Match) -> Match:
+        """With the speed that the exposures before it tell."""
+        i = bisect_left(self.by_time, match.instant_ns, key=lambda other: other.instant_ns)
+        before = self.by_time[max(0, i - 2) : i][::-1]
+        if not before or match.instant_ns - before[-1].instant_ns > LONGEST_NS:
+            return match
+        points = (match, *before)
+        instants = [point.instant_ns for point in points]
+        if len(set(instants)) < len(instants):
+            return match
+        return replace(
+            match,
+            az_rad_s=_slope([point.az_rad for point in points], instants),
+            el_rad_s=_slope([point.el_rad for point in points], instants),
+        )
 
     def at(self, instant_ns: int, tolerance_ns: float) -> Match | None:
         i = bisect_left(self.by_time, instant_ns, key=lambda match: match.instant_ns)
@@ -100,7 +117,7 @@ class LatchMatcher:
     def _accept(self, found: Match, mid_exposure: CameraNs | None) -> Match:
         if mid_exposure is not None:
             self._last = _Pair(mid_exposure, found.instant_ns)
-        return found
+        return self._ring.moving(found)
 
     def _absent(self, frame_id: int, ring: _Ring) -> Waiting | NoAngle:
         index = frame_id + self._k
@@ -128,6 +145,16 @@ class LatchMatcher:
             self._latches = latches
             self._ring = _ring(latches, self._edges)
         return self._ring
+
+
+def _slope(angles_rad: Sequence[float], instants_ns: Sequence[int]) -> float:
+    """Per s at the first of two points, or of three (by the parabola through them)."""
+    first = (angles_rad[0] - angles_rad[1]) / (instants_ns[0] - instants_ns[1])
+    if len(angles_rad) == 2:
+        return first * 1e9
+    second = (angles_rad[1] - angles_rad[2]) / (instants_ns[1] - instants_ns[2])
+    bend = (first - second) / (instants_ns[0] - instants_ns[2])
+    return (first + (instants_ns[0] - instants_ns[1]) * bend) * 1e9
 
 
 def _ring(latches: Sequence[Latch], edges: int) -> _Ring:

@@ -15,6 +15,7 @@ ARCSEC = pi / 648_000.0
 
 Positive = Annotated[float, Field(gt=0)]
 NotNegative = Annotated[float, Field(ge=0)]
+Lateness = Annotated[float, Field(ge=-5000, le=5000)]
 Pixel = tuple[float, float]
 DegreeRange = tuple[float, float]
 
@@ -152,6 +153,8 @@ class GimbalSettings(Settings):
     stale_ms: Annotated[float, Field(ge=5, le=1000)] = 20.0  # a status older than this: no angles, no fix
     encoder_sigma_arcsec: NotNegative = 2.0  # 1 sigma of one frame's angle, independent from frame to frame
     encoder_fixed_arcsec: NotNegative = 0.0  # 1 sigma of the part that is a function of the angle
+    latch_offset_us: tuple[Lateness, Lateness] = (0.0, 0.0)  # az, el: the latched angles are those of this much later
+    latch_offset_sigma_us: tuple[NotNegative, NotNegative] = (0.0, 0.0)
     steering: SteeringSettings = SteeringSettings()
     tracking: TrackingSettings = TrackingSettings()
 
@@ -167,6 +170,14 @@ class GimbalSettings(Settings):
     def source(self) -> Source:
         """Where its angles come from; a driver that plays or simulates says otherwise."""
         return Source.LIVE
+
+    @property
+    def latch_offset_s(self) -> tuple[float, float]:
+        return self.latch_offset_us[0] * 1e-6, self.latch_offset_us[1] * 1e-6
+
+    @property
+    def latch_offset_sigma_s(self) -> tuple[float, float]:
+        return self.latch_offset_sigma_us[0] * 1e-6, self.latch_offset_sigma_us[1] * 1e-6
 
     @property
     def encoder_sigma_rad(self) -> float:

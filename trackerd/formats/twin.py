@@ -47,6 +47,16 @@ class AxesSettings(TravelSettings):
     el_limits_deg: DegreeRange = (-75.0, 75.0)
 
 
+class SweepSettings(Settings):
+    """A recording's axes swing about their aim at the probe: what `calibrate latency` looks at. An axis of 0 does not."""
+
+    kind: Literal["sine", "triangle"] = "sine"
+    az_deg: Annotated[float, Field(ge=0, le=30)] = 0.0  # to either side, as the encoder counts
+    el_deg: Annotated[float, Field(ge=0, le=30)] = 0.0
+    az_hz: Annotated[float, Field(gt=0, le=20)] = 2.3  # of two paces that share no beat the axes tell apart best
+    el_hz: Annotated[float, Field(gt=0, le=20)] = 3.1
+
+
 class EncoderSettings(Settings):
     """Reading = angle + a fixed function of the angle + noise of each reading."""
 
@@ -127,6 +137,7 @@ class TwinSettings(Settings):
     start_offset_px: Pixel = (60.0, -40.0)  # where the probe first is in the image, from the pixel that it is kept at
     path: PathSettings = PathSettings()
     axes: AxesSettings = AxesSettings()
+    sweep: SweepSettings = SweepSettings()
     encoder: EncoderSettings = EncoderSettings()
     error: dict[str, ErrorSettings] = Field(default_factory=dict)  # by gimbal
     camera: LookSettings = LookSettings()

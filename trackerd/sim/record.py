@@ -2,7 +2,7 @@
 
 LEFT/000000.bmp ...   the frames of gimbal `left`; its folder has the gimbal's name
 LEFT.csv              frame,t_ns                      mid-exposure
-angles.csv            gimbal,frame,t_ns,az_rad,el_rad the encoders at mid-exposure
+angles.csv            gimbal,frame,t_ns,az_rad,el_rad the encoders as they were latched: the mean of both edges
 truth.csv             t_ns,x_mm,y_mm,z_mm             the probe in W at every mid-exposure
 """
 
@@ -50,12 +50,11 @@ def record(
 ) -> int:
     """Write `duration_s` of the scene, from one second before the probe moves; returns the number of frames.
 
-    The gimbals start aimed, and follow the true probe through their axes' dynamics. The scene is spent afterwards; `progress`
-    is told the frames done and in all. Raises OSError.
+    The gimbals start aimed, and follow the true probe through their axes' dynamics, or sweep beside it where the settings say
+    so. The scene is spent afterwards; `progress` is told the frames done and in all. Raises OSError.
     """
     start_ns = max(0, round(scene.settings.path.dwell_s * 1e9) - LEAD_NS)
-    for name, gimbal in scene.gimbals.items():
-        gimbal.place(*gimbal.aim(scene.truth(0)[0], scene.mounts[name].kept_at_px))
+    scene.place()
     shots = _shots({name: scene.trigger(name) for name in scene.gimbals}, start_ns, round(duration_s * SECOND_NS))
     for name in scene.gimbals:
         (folder / name).mkdir(parents=True, exist_ok=True)
@@ -88,7 +87,7 @@ def _expose(scene: Scene, shots: list[Shot], folder: Path, progress: Progress | 
             scene.follow(tick_ns, tick_ns + TICK_NS)
             tick_ns += TICK_NS
         _write_frame(scene, renderers[shot.gimbal], shot, folder)
-        az, el = scene.encoder(shot.gimbal, shot.mid_ns)
+        az, el = scene.latched(shot.gimbal, shot.begin_ns, shot.end_ns)
         rows.append((shot.gimbal, shot.frame, shot.mid_ns, f"{az:.12f}", f"{el:.12f}"))
         if progress is not None:
             progress(done, len(shots))

@@ -18,6 +18,7 @@ from trackerd.geometry.rigid import Rigid
 from trackerd.sim.gimbal import SimGimbal
 from trackerd.sim.path import ProbePath, State
 from trackerd.sim.render import SHARP_PX, Renderer
+from trackerd.sim.sweep import beside
 from trackerd.sim.trigger import Trigger, trigger_of
 
 PART_PX = 1.5  # smear from part to part, below two sigmas of the blur: an edge is within 1 DN of a smooth smear's
@@ -77,6 +78,11 @@ class Scene:
         """What the controller reads at an instant, (az, el) in rad."""
         return self.gimbals[gimbal].encoder(t_ns)
 
+    def latched(self, gimbal: str, begin_ns: int, end_ns: int) -> tuple[float, float]:
+        """What the latch says of one exposure, as a controller's are read: the mean of both edges, (az, el) in rad."""
+        edges = [self.gimbals[gimbal].latched(t_ns, begin_ns) for t_ns in (begin_ns, end_ns)]
+        return (edges[0][0] + edges[1][0]) / 2.0, (edges[0][1] + edges[1][1]) / 2.0
+
     def trigger(self, gimbal: str) -> Trigger:
         """When the camera on this gimbal exposes."""
         mount = self.mounts[gimbal]
@@ -95,15 +101,24 @@ class Scene:
         middles = [begin_ns + (2 * part + 1) * (end_ns - begin_ns) // (2 * parts) for part in range(parts)]
         return View(tuple(self.true_pose(gimbal, t) for t in middles), tuple(self.truth(t)[0] for t in middles))
 
-    def follow(self, t_ns: int, until_ns: int) -> None:
-        """Aim every gimbal at the true probe, at the speed that meets it at `until_ns`."""
+    def place(self) -> None:
+        """Every gimbal aimed at the probe, at rest."""
         for name, gimbal in self.gimbals.items():
-            kept_at_px = self.mounts[name].kept_at_px
-            now_az, now_el = gimbal.aim(self.truth(t_ns)[0], kept_at_px)
-            az, el = gimbal.aim(self.truth(until_ns)[0], kept_at_px)
+            gimbal.place(*gimbal.aim(self.truth(0)[0], self.mounts[name].kept_at_px))
+
+    def follow(self, t_ns: int, until_ns: int) -> None:
+        """Aim every gimbal at the true probe, or where it sweeps beside it, at the speed that meets it at `until_ns`."""
+        for name, gimbal in self.gimbals.items():
+            now_az, now_el = self._wanted(name, t_ns)
+            az, el = self._wanted(name, until_ns)
             duration_s = (until_ns - t_ns) * 1e-9
             gimbal.az.follow(t_ns, now_az, (az - now_az) / duration_s)
             gimbal.el.follow(t_ns, now_el, (el - now_el) / duration_s)
+
+    def _wanted(self, gimbal: str, t_ns: int) -> tuple[float, float]:
+        az, el = self.gimbals[gimbal].aim(self.truth(t_ns)[0], self.mounts[gimbal].kept_at_px)
+        beside_az, beside_el = beside(self.settings.sweep, t_ns)
+        return az + beside_az, el + beside_el
 
     def _pixel(self, gimbal: str, t_ns: int) -> Array:
         """Where the probe's centre is on the sensor."""
