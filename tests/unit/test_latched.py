@@ -1,7 +1,7 @@
 """The angles of a frame from status records: freshness, restarts, kinds of gimbals, and whose clock tells when."""
 
 from dataclasses import replace
-from math import hypot
+from math import cos, hypot, sin
 
 import numpy as np
 import pytest
@@ -214,3 +214,65 @@ def test_the_cycle_of_the_static_block_becomes_the_snapshots_age() -> None:
     twins = gm.decode_static(static_record(7, loop.controller.axes), gm.ByteOrder.MODBUS)
     assert info("left", twins).snapshot_ns == 0  # the twin answers with the instant that it was asked at
     assert info("left", replace(twins, cycle_us=1000)).snapshot_ns == MS
+
+
+# ---- late angles -----------------------------------------------------------------------------------------------------
+
+
+def swinging(t_s: float) -> tuple[float, float]:
+    """Encoder angles of a following gimbal: 0.3 rad/s at most, 1 rad/s^2."""
+    return 0.09 * sin(3.3 * t_s), 0.05 * cos(4.1 * t_s)
+
+
+@pytest.mark.parametrize("edges", [1, 2])
+def test_angles_that_were_latched_late_are_taken_back_to_mid_exposure_by_their_speed(edges: int) -> None:
+    """250 us and -120 us at up to 0.3 rad/s are 15 arcsec; what is left is below a tenth of one."""
+    late_us, sigma_us = (250.0, -120.0), (4.0, 2.0)
+    settings = SETTINGS.model_copy(update={"latch_offset_us": late_us, "latch_offset_sigma_us": sigma_us})
+    gimbal, period_ns = replace(GIMBAL, clock=ClockKind.RECORDING, edges=edges), 18 * MS
+    latched, offsets = LatchedAngles(gimbal, settings, RecordingTime(), STALE_NS), []
+    latches: tuple[Latch, ...] = ()
+    for frame_id in range(40):
+        mid_ns = HOST_NS + frame_id * period_ns
+        for edge_ns in (-MS, MS) if edges == 2 else (0,):
+            az, el = (swinging((mid_ns + edge_ns + late * 1000) * 1e-9)[i] for i, late in enumerate(late_us))
+            latches = (Latch(frame_id, edge_ns > 0, az, el, ControllerUs((mid_ns + edge_ns) // 1000)), *latches)
+        now = HostNs(mid_ns + 5 * MS)
+        latched.reported(
+            GimbalReport(frame_id, GimbalFlag.READY, 0, 0, 0, az, el, ControllerUs(mid_ns // 1000), 1, latches, now, now)
+        )
+        found = latched.match(replace(frame(frame_id, mid_ns), mid_exposure=CameraNs(mid_ns)), now)
+        assert isinstance(found, AxisAngles)
+        true = swinging(mid_ns * 1e-9)
+        if frame_id >= 2:
+            offsets.append((found.az_rad - true[0], found.el_rad - true[1]))
+            speeds = 0.297 * abs(cos(3.3 * mid_ns * 1e-9)), 0.205 * abs(sin(4.1 * mid_ns * 1e-9))
+            unknown = max(speed * sigma * 1e-6 for speed, sigma in zip(speeds, sigma_us, strict=True))
+            assert found.fixed_sigma_rad == pytest.approx(hypot(1.0 * ARCSEC, unknown), rel=1e-2)
+            assert found.sigma_rad == pytest.approx(2.0 * ARCSEC)
+    assert np.abs(offsets).max() < (0.1 * ARCSEC if edges == 1 else 0.35 * ARCSEC)  # both edges' mean is off by acc T^2 / 8
+
+
+def test_the_first_frame_has_no_speed_but_that_of_its_edges() -> None:
+    bus = Bus()
+    bus.latched = LatchedAngles(
+        GIMBAL, SETTINGS.model_copy(update={"latch_offset_us": (1000.0, 0.0)}), RecordingTime(), STALE_NS
+    )
+    bus.cycle(20)
+    taken = bus.exposed(0, bus.now)
+    rising = bus.latches[1]
+    bus.latches = (bus.latches[0], replace(rising, az_rad=rising.az_rad - 0.002))  # 1 rad/s over 2 ms
+    bus.cycle()
+    found = bus.match(taken)
+    assert isinstance(found, AxisAngles)
+    assert found.az_rad == pytest.approx(0.1 - 0.001 - 0.001)
+
+
+def test_axes_that_do_not_move_are_not_corrected_and_lose_no_certainty() -> None:
+    bus = Bus()
+    late = SETTINGS.model_copy(update={"latch_offset_us": (500.0, 500.0), "latch_offset_sigma_us": (50.0, 50.0)})
+    bus.latched = LatchedAngles(replace(GIMBAL, clock=ClockKind.NONE, edges=0), late, RecordingTime(), STALE_NS)
+    bus.cycle()
+    found = bus.match(frame(0, bus.now))
+    assert isinstance(found, AxisAngles)
+    assert (found.az_rad, found.el_rad, found.fixed_sigma_rad) == (0.25, -0.5, 1.0 * ARCSEC)

@@ -84,3 +84,31 @@ def test_free_cameras_are_recorded_at_their_own_instants(tmp_path):
     left, right = ({row["t_ns"] for row in rows(tmp_path / f"{name}.csv")} for name in ("left", "right"))
     assert not left & right
     assert {row["t_ns"] for row in rows(tmp_path / "truth.csv")} == left | right
+
+
+def test_a_sweep_swings_both_axes_about_the_probe_and_its_angles_are_the_latched_ones(tmp_path):
+    swing = {"az_deg": 0.1, "el_deg": 0.05, "az_hz": 3.0, "el_hz": 4.0}
+    late = scene(camera=PLAIN, path={"kind": "still"}, sweep=swing, encoder={"latch_skew_us": 300.0})
+    prompt = scene(camera=PLAIN, path={"kind": "still"}, sweep=swing)
+    tables = []
+    for name, made in (("late", late), ("prompt", prompt)):
+        record(made, tmp_path / name, 1.0)
+        table = [row for row in rows(tmp_path / name / "angles.csv") if row["gimbal"] == "left"]
+        tables.append(np.array([[float(row["az_rad"]), float(row["el_rad"])] for row in table]))
+    aim = np.array(prompt.gimbals["left"].aim(prompt.truth(0)[0], prompt.mounts["left"].kept_at_px))
+    swung = np.abs(tables[1] - aim).max(axis=0)
+    assert np.degrees(swung) == pytest.approx((0.1, 0.05), rel=0.1)
+    speeds = np.gradient(tables[1], 1.0 / 55.0, axis=0)[2:-2]
+    ahead = (tables[0] - tables[1])[2:-2]
+    assert (ahead * speeds).sum(axis=0) / (speeds**2).sum(axis=0) == pytest.approx((300e-6, 300e-6), rel=0.05)
+
+
+def test_a_triangle_keeps_its_speed_but_at_the_turns():
+    made = scene(path={"kind": "still"}, sweep={"kind": "triangle", "az_deg": 1.0, "el_deg": 0.5, "az_hz": 0.5, "el_hz": 1.0})
+    made.place()
+    speeds = []
+    for t_ms in range(0, 4000, 10):
+        made.follow(t_ms * 1_000_000, (t_ms + 10) * 1_000_000)
+        speeds.append(made.gimbals["left"].rates((t_ms + 5) * 1_000_000))
+    for speed in np.degrees(np.abs(speeds)).T:  # 4 x 1 deg x 0.5 Hz, 4 x 0.5 deg x 1 Hz
+        assert np.mean(np.abs(speed - 2.0) < 0.05) > 0.7

@@ -15,7 +15,7 @@ from math import log, sqrt
 import numpy as np
 
 from trackerd.calibrate import latency_refusals as refuse
-from trackerd.calibrate.latency_model import Fit, Mask, Model, fitted, model_of, rank
+from trackerd.calibrate.latency_model import Fit, Mask, Model, fitted, model_of, rank, rescaled
 from trackerd.calibrate.sweep import Sweep
 from trackerd.contract.model import Array
 from trackerd.geometry.gimbal import Station
@@ -85,14 +85,16 @@ def latency_of(station: Station, sweep: Sweep, range_mm: float = 2000.0) -> Late
     than pixels and encoders explain (the target or the stand moves).
     """
     refuse.what_cannot_tell(sweep)
-    model = model_of(station, sweep, range_mm)
+    rough = model_of(station, sweep, range_mm)
+    first = _solve(rough)
+    model = rescaled(rough, sweep, first.fit.value, first.kept)
     smear_px = sweep.exposure_s * float(np.sqrt(((model.jacobian @ sweep.rates_rad_s[:, :, None]) ** 2).sum(axis=1)).max())
     refuse.smear(smear_px)
     solved = _solve(model)
     fit, kept, excess = solved.fit, solved.kept, solved.excess
-    refuse.leftovers(solved.chi2 / solved.freedom, 1.0 - float(kept.mean()))
     odd = np.concatenate((model.hysteresis, model.smear), axis=2)
     refuse.odd_ones(fitted(odd, np.concatenate((model.angles, model.late), axis=2), model.offsets, kept), excess)
+    refuse.leftovers(solved.chi2 / solved.freedom, 1.0 - float(kept.mean()))
     refuse.uncertain(fit.cov * excess, fit.value)
     loose = fitted(model.late, np.concatenate((model.angles, model.hysteresis), axis=2), model.offsets, kept)
     after = model.angles_of(solved.left)

@@ -28,12 +28,16 @@ class Model:
     smear: Array  # (n, 2, 2) per rad at the highest speed, with the square of the speed: of az and el
     root: Array  # (n, 2, 2) whitens pixels
     jacobian: Array  # (n, 2, 2) d px / d encoder rad
+    offsets_px: Array  # (n, 2) as they are
 
     def left_over(self, offset_s: Array, kept: Mask) -> Array:
         """Whitened, (n, 2), of all frames; the functions of the angles are fitted to those that are kept."""
+        return np.asarray(self.offsets - self.late @ offset_s - self.angles @ self.free(offset_s, kept))
+
+    def free(self, offset_s: Array, kept: Mask) -> Array:
+        """(p,) the functions of the angles."""
         y = self.offsets - self.late @ offset_s
-        free = np.linalg.lstsq(rows(self.angles, kept), y[kept].ravel(), rcond=ALIKE)[0]
-        return np.asarray(y - self.angles @ free)
+        return np.asarray(np.linalg.lstsq(rows(self.angles, kept), y[kept].ravel(), rcond=ALIKE)[0], np.float64)
 
     def angles_of(self, left: Array) -> Array:
         """Whitened offsets (n, 2) as errors of the encoders' angles, in rad."""
@@ -52,17 +56,28 @@ def model_of(station: Station, sweep: Sweep, range_mm: float) -> Model:
     seen_at = [station.point_at(q, az, el, range_mm) for q, (az, el) in zip(sweep.q_px, poses, strict=True)]
     target = np.mean(seen_at, axis=0)
     offsets = sweep.q_px - np.array([station.pixel(target, az, el) for az, el in poses])
-    jacobian = np.array([station.pixel_jacobian(target, az, el) for az, el in poses])
+    return _model(sweep, offsets, np.array([station.pixel_jacobian(target, az, el) for az, el in poses]))
+
+
+def rescaled(model: Model, sweep: Sweep, offset_s: Array, kept: Mask) -> Model:
+    """With the pixels per radian that the sweep itself shows: 1 % off in focal length or range would be 1 % of the latency."""
+    slopes = _plane_slopes(sweep)
+    free = model.free(offset_s, kept)[: 2 * slopes.shape[1]].reshape(-1, 2)
+    return _model(sweep, model.offsets_px, model.jacobian + np.einsum("kj,nka->nja", free, slopes))
+
+
+def _model(sweep: Sweep, offsets_px: Array, jacobian: Array) -> Model:
     root = np.linalg.inv(np.linalg.cholesky(sweep.cov_px2 + sweep.sigma_rad**2 * jacobian @ jacobian.transpose(0, 2, 1)))
     speed = sweep.rates_rad_s / np.abs(sweep.rates_rad_s).max(axis=0)
     return Model(
-        offsets=(root @ offsets[:, :, None])[..., 0],
+        offsets=(root @ offsets_px[:, :, None])[..., 0],
         late=root @ (-jacobian * sweep.rates_rad_s[:, None, :]),
         angles=root @ _functions(sweep, jacobian),
         hysteresis=root @ (-jacobian * np.tanh(speed / TURNING)[:, None, :]),
         smear=root @ (-jacobian * (speed * np.abs(speed))[:, None, :]),
         root=root,
         jacobian=jacobian,
+        offsets_px=offsets_px,
     )
 
 
@@ -91,9 +106,8 @@ def _basis(columns: Array) -> Array:
 
 
 def _functions(sweep: Sweep, jacobian: Array) -> Array:
-    """(n, 2, p): of the image, quadratic in both angles; of each encoder, of its own angle; and the target's slow drift."""
-    low, high = sweep.angles_rad.min(axis=0), sweep.angles_rad.max(axis=0)
-    a, e = (2.0 * (sweep.angles_rad - low) / (high - low) - 1.0).T
+    """(n, 2, p): of the image, quadratic in both angles; the target's slow drift; of each encoder, of its own angle."""
+    a, e = _scaled(sweep).T
     t = 2.0 * (sweep.t_s - sweep.t_s[0]) / (sweep.t_s[-1] - sweep.t_s[0]) - 1.0
     planes = np.stack((np.ones_like(a), a, e, a * a, a * e, e * e, t, t * t), axis=1)
     image = np.einsum("nk,ij->nikj", planes, np.eye(2)).reshape(len(a), 2, -1)
@@ -101,6 +115,20 @@ def _functions(sweep: Sweep, jacobian: Array) -> Array:
     return np.concatenate((image, *waves), axis=2)
 
 
+def _plane_slopes(sweep: Sweep) -> Array:
+    """Of the functions of the image by the angles, (n, 6, 2) per rad."""
+    a, e = _scaled(sweep).T
+    nought, one = np.zeros_like(a), np.ones_like(a)
+    by_a = np.stack((nought, one, nought, 2.0 * a, e, nought), axis=1)
+    by_e = np.stack((nought, nought, one, nought, a, 2.0 * e), axis=1)
+    return np.asarray(np.stack((by_a, by_e), axis=2) * (2.0 / np.ptp(sweep.angles_rad, axis=0)), np.float64)
+
+
+def _scaled(sweep: Sweep) -> Array:
+    """Both angles, (n, 2), to -1 .. 1."""
+    return np.asarray(2.0 * (sweep.angles_rad - sweep.angles_rad.min(axis=0)) / np.ptp(sweep.angles_rad, axis=0) - 1.0)
+
+
 def _waves(angle: Array) -> Array:
-    """Beyond the quadratic, which the image has: Legendre's polynomials of an angle that was scaled to -1 .. 1, (n, ...)."""
+    """Beyond the quadratic, which the image has: Legendre's polynomials of a scaled angle, (n, ...)."""
     return np.asarray(np.polynomial.legendre.legvander(angle, DEGREE)[:, 3:], np.float64)
