@@ -43,9 +43,13 @@ class Made:
     moves_mm: Callable[[Array], Array] = still
     exposure_s: float = 0.0
 
+    def rng(self, stream: int) -> np.random.Generator:
+        """Of its own for each gimbal: two of one seed share nothing."""
+        return np.random.default_rng((self.seed, stream, *self.station.name.encode()))
+
     def angles(self, t_s: Array) -> Array:
         """True (n, 2)."""
-        rng = np.random.default_rng((self.seed, 1))
+        rng = self.rng(1)
         az_el = np.array(self.station.aim(TARGET, np.array((1023.5, 767.5))))
         turns = np.array(self.pace_hz) * t_s[:, None] + rng.uniform(0.0, 1.0, 2)
         wave = np.sin(2.0 * pi * turns)
@@ -61,7 +65,7 @@ class Made:
         return np.stack(late, axis=1) + rng.normal(0.0, self.white_arcsec * ARCSEC, (len(t_s), 2))
 
     def sightings(self) -> Sightings:
-        rng = np.random.default_rng((self.seed, 2))
+        rng = self.rng(2)
         t_s = np.arange(round(RATE_HZ * self.seconds)) / RATE_HZ + rng.uniform(0.0, 1.0 / RATE_HZ)
         seen = zip(TARGET + self.moves_mm(t_s), self.angles(t_s), strict=True)
         q_px = np.array([self.station.pixel(p, *angles.tolist()) for p, angles in seen])
@@ -71,13 +75,13 @@ class Made:
     def latched(self) -> Sweep:
         """One reading a frame."""
         seen = self.sightings()
-        angles = self.readings(seen.t_s, np.random.default_rng((self.seed, 3)))
+        angles = self.readings(seen.t_s, self.rng(3))
         return sweep_of_latches(seen, angles, max(self.white_arcsec, 0.01) * ARCSEC)
 
     def history(self) -> tuple[Array, Array]:
         """1 kHz, from before the first frame to after the last one."""
         t_s = np.arange(-0.02, self.seconds + 0.05, 1.0 / HISTORY_HZ)
-        return t_s, self.readings(t_s, np.random.default_rng((self.seed, 4)))
+        return t_s, self.readings(t_s, self.rng(4))
 
     def historied(self) -> Sweep:
         return sweep_of_history(self.sightings(), *self.history())
@@ -94,7 +98,7 @@ class Made:
         angles, h = self.angles(t_s), 1e-5
         speed = (self.angles(t_s + h) - self.angles(t_s - h)) / (2.0 * h)
         share = speed / (2.0 * pi * np.array(self.pace_hz) * np.radians(self.swing_deg) + 1e-12)
-        phases = np.random.default_rng((self.seed, 5)).uniform(0.0, 2.0 * pi, (2, len(CYCLES)))
+        phases = self.rng(5).uniform(0.0, 2.0 * pi, (2, len(CYCLES)))
         fixed = self.fixed_arcsec / np.sqrt(2.0) * np.cos(CYCLES * angles[:, :, None] + phases).sum(axis=2)
         odd = self.hysteresis_arcsec * np.tanh(share / 0.05) + self.smear_arcsec * share * np.abs(share)
         return np.asarray(angles + (fixed + odd) * ARCSEC)

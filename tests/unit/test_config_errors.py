@@ -142,6 +142,21 @@ WRONG = [
         'host = "10.0.0.1"\nstale_ms = 8',
         "[gimbal.left] stale_ms = 8: must be at least two cycles of cycle_ms = 5",
     ),
+    (
+        'host = "10.0.0.1"',
+        'host = "10.0.0.1"\nlatch_offset_us = 250.0',
+        "[gimbal.left] latch_offset_us = 250.0: must be a list in [ ]",
+    ),
+    (
+        'host = "10.0.0.1"',
+        'host = "10.0.0.1"\nlatch_offset_us = [250.0, 18182.0]',
+        "[gimbal.left] latch_offset_us = [250.0, 18182.0]: must be at most 5000",
+    ),
+    (
+        'host = "10.0.0.1"',
+        'host = "10.0.0.1"\nlatch_offset_sigma_us = [-1.0, 1.0]',
+        "[gimbal.left] latch_offset_sigma_us = [-1.0, 1.0]: must be at least 0",
+    ),
     ('host = "10.0.0.2"', 'host = "10.0.0.1"', "[gimbal.right] port = 502: gimbal left is at 10.0.0.1:502, unit 1 already"),
     (
         'camera = "right"',

@@ -105,9 +105,22 @@ def test_a_target_that_drifts_slowly_does_no_harm() -> None:
 
 def test_a_triangle_tells_the_latency_and_what_it_cannot_tell() -> None:
     made = Made(kind="triangle")
-    latency = found(made)
+    latency = found(made, "history")
     assert off(made, latency) < 3.5
+    assert len(latency.notes) == 2
     assert all("at one speed only: a hysteresis would pass for a latency" in note for note in latency.notes)
+
+
+def test_turns_that_are_too_sharp_for_one_latch_a_frame_are_refused_or_do_no_harm() -> None:
+    refused = 0
+    for seed in range(10):
+        made = Made(seed, kind="triangle")
+        try:
+            assert off(made, found(made)) < 4.0
+        except Undetermined as error:
+            assert "turns too sharp for the frame rate" in str(error)  # noqa: PT017 - some are refused, not all
+            refused += 1
+    assert 0 < refused < 10
 
 
 def test_a_sine_bounds_what_a_hysteresis_would_do() -> None:
@@ -158,7 +171,7 @@ def shaking(t_s: Array) -> Array:
         (Made(moves_mm=circling), "the target moves|the target or the stand moves"),
         (Made(moves_mm=shaking), "the target or the stand moves or shakes"),
         (Made(hysteresis_arcsec=4.0), "which is no latency: backlash or friction"),
-        (Made(smear_arcsec=10.0), "which is no latency: backlash or friction between encoder and camera, or smear"),
+        (Made(smear_arcsec=10.0), "which is no latency: backlash or friction between encoder and camera, smear"),
         (Made(late_us=(5200.0, 5200.0)), r"the angles are \+5\.2 ms late, more than 3 ms: they are another frame's"),
         (Made(exposure_s=0.004), r"smeared by \d+ px at the highest speed, 20 px are the most: expose \d\.\d times shorter"),
     ],
@@ -188,6 +201,24 @@ def test_what_is_not_finite_is_refused(name: str) -> None:
     spoilt[5] = np.nan
     with pytest.raises(Undetermined, match="not a finite number"):
         latency_of(STATIONS["left"], replace(sweep, **{name: spoilt}))
+
+
+def test_a_covariance_that_is_none_is_refused() -> None:
+    sweep = replace(Made().latched(), sigma_rad=0.0)
+    with pytest.raises(Undetermined, match="covariance that is not positive"):
+        latency_of(STATIONS["left"], replace(sweep, cov_px2=0.0 * sweep.cov_px2))
+
+
+def test_shuffled_frames_and_samples_are_refused() -> None:
+    made = Made()
+    seen, (t_s, angles) = made.sightings(), made.history()
+    shuffled = replace(seen, t_s=seen.t_s[::-1])
+    with pytest.raises(Undetermined, match="instants of the frames do not rise"):
+        sweep_of_latches(shuffled, np.zeros((len(seen.t_s), 2)), 2.0 * ARCSEC)
+    with pytest.raises(Undetermined, match="instants of the frames do not rise"):
+        sweep_of_history(shuffled, t_s, angles)
+    with pytest.raises(Undetermined, match="instants of the encoder samples do not rise"):
+        sweep_of_history(seen, t_s * np.nan, angles)
 
 
 def test_a_history_that_covers_no_frame_is_refused() -> None:

@@ -78,6 +78,13 @@ def test_the_unweighted_point_is_the_one_nearest_to_the_lines_and_all_methods_cl
     assert triangulate([left, raised], method).p_mm[1] - CENTRE[1] == pytest.approx(3.0 * shares[method], rel=0.02)
 
 
+def test_a_method_may_be_told_by_its_name_and_another_word_is_no_method() -> None:
+    lines = lines_of(PAIR, np.random.default_rng(4))
+    assert np.array_equal(triangulate(lines, "unweighted").p_mm, triangulate(lines, Method.UNWEIGHTED).p_mm)  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match="best"):
+        triangulate(lines, "best")  # type: ignore[arg-type]
+
+
 def test_unequal_lines_are_weighted_by_their_covariance() -> None:
     """An anisotropic and a ten times worse line: NEES stays 1, and the point lies on the good lines."""
     rng = np.random.default_rng(12)

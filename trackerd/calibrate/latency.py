@@ -23,6 +23,7 @@ from trackerd.geometry.gimbal import Station
 OUTLIER = 4.5**2  # squared distance of a frame from the fit
 USUAL = 2.0 * log(2.0)  # median of a chi-square of two degrees of freedom
 REPEATS = 8
+ONE_SPEED = 0.05  # share of a latency that a hysteresis does not imitate: a sine's is 0.2
 
 
 @dataclass(frozen=True, slots=True)
@@ -131,7 +132,7 @@ def _solve(model: Model) -> _Solution:
 
 def _notes(loose: Fit) -> Iterator[str]:
     for name, share in zip(refuse.AXES, loose.share, strict=True):
-        if share < refuse.TOLD_APART:
+        if share < ONE_SPEED:
             yield (
                 f"the {name} axis sweeps at one speed only: a hysteresis would pass for a latency unseen; a sine, or sweeps of"
                 " two speeds, tell them apart"

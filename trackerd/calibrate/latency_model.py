@@ -7,6 +7,7 @@ import numpy as np
 import numpy.typing as npt
 
 from trackerd.calibrate.sweep import Sweep
+from trackerd.contract.errors import Undetermined
 from trackerd.contract.model import Array
 from trackerd.geometry.gimbal import Station
 
@@ -67,7 +68,11 @@ def rescaled(model: Model, sweep: Sweep, offset_s: Array, kept: Mask) -> Model:
 
 
 def _model(sweep: Sweep, offsets_px: Array, jacobian: Array) -> Model:
-    root = np.linalg.inv(np.linalg.cholesky(sweep.cov_px2 + sweep.sigma_rad**2 * jacobian @ jacobian.transpose(0, 2, 1)))
+    cov = sweep.cov_px2 + sweep.sigma_rad**2 * jacobian @ jacobian.transpose(0, 2, 1)
+    try:
+        root = np.linalg.inv(np.linalg.cholesky(cov))
+    except np.linalg.LinAlgError as err:
+        raise Undetermined("a frame's pixel has a covariance that is not positive") from err
     speed = sweep.rates_rad_s / np.abs(sweep.rates_rad_s).max(axis=0)
     return Model(
         offsets=(root @ offsets_px[:, :, None])[..., 0],

@@ -86,8 +86,8 @@ def odd_ones(fit: Fit, excess: float) -> None:
     if float(value @ np.linalg.pinv(cov, rcond=1e-12, hermitian=True) @ value) > CHANCE:
         raise Undetermined(
             f"the angles are off by up to {float(np.abs(value).max()) / ARCSEC:.1f} arcsec otherwise than in proportion to the"
-            " speed, which is no latency: backlash or friction between encoder and camera, or smear: sweep slower, or expose"
-            " shorter"
+            " speed, which is no latency: backlash or friction between encoder and camera, smear, or turns too sharp for the"
+            " frame rate: expose shorter, sweep slower, and a sine"
         )
 
 

@@ -14,6 +14,7 @@ NEIGHBOURS = 5  # frames whose quartic tells the speed in their middle: to 0.1 %
 FARTHEST = 1.6  # such a group may be longer than without gaps by this factor: one frame may be missing
 WINDOW_S = 8e-3  # to either side: encoder samples whose cubic tells angle and speed in their middle
 FEWEST_SAMPLES = 6
+BENT = 3.0  # times the usual scatter about a cubic: the axis turned round within the window
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,6 +46,7 @@ def sweep_of_latches(seen: Sightings, angles_rad: Array, sigma_rad: float) -> Sw
 
     The frame's own angle has no share in its speed: their noise is independent. Raises Undetermined where nothing is left.
     """
+    _refuse_disorder(seen.t_s, "frames")
     count = len(seen.t_s)
     first = np.arange(max(0, count - NEIGHBOURS + 1))
     if not len(first):
@@ -74,15 +76,19 @@ def sweep_of_history(seen: Sightings, t_s: Array, angles_rad: Array) -> Sweep:
     """With encoder samples (m,) and (m, 2) on the frames' clock, rising; frames without enough of them round it are left out.
 
     A cubic through the samples round a frame tells its angles and speeds, and their scatter about it the noise of both, white
-    from sample to sample. Raises Undetermined where no frame is left.
+    from sample to sample. Frames at turns that are too sharp for a cubic are left out, too. Raises Undetermined where no frame
+    is left.
     """
+    _refuse_disorder(seen.t_s, "frames")
+    _refuse_disorder(t_s, "encoder samples")
     window_s = min(WINDOW_S, 0.5 * float(np.median(np.diff(seen.t_s)))) if len(seen.t_s) > 1 else WINDOW_S
     begin, end = np.searchsorted(t_s, (seen.t_s - window_s, seen.t_s + window_s))
     fits = [_cubic(t_s[a:b] - t, angles_rad[a:b], window_s) for t, a, b in zip(seen.t_s, begin, end, strict=True)]
-    which = np.array([fit is not None for fit in fits], bool)
-    found = [fit for fit in fits if fit is not None]
-    if not found:
+    scatter = np.array([np.nan if fit is None else fit.squares / fit.freedom for fit in fits])
+    if np.isnan(scatter).all():
         raise Undetermined(f"no frame has {FEWEST_SAMPLES} encoder samples within {window_s * 1e3:.0f} ms of it on both sides")
+    which = scatter <= BENT * np.nanmedian(scatter)
+    found = [fit for fit, taken in zip(fits, which, strict=True) if fit is not None and taken]
     variance = sum(fit.squares for fit in found) / sum(fit.freedom for fit in found)
     share = float(np.mean([fit.share for fit in found]))
     return Sweep(
@@ -94,6 +100,13 @@ def sweep_of_history(seen: Sightings, t_s: Array, angles_rad: Array) -> Sweep:
         float(np.sqrt(variance * share)),
         seen.exposure_s,
     )
+
+
+def _refuse_disorder(t_s: Array, what: str) -> None:
+    if not np.all(np.diff(t_s) > 0.0):  # also where one is not a number
+        raise Undetermined(
+            f"the instants of the {what} do not rise from one to the next: they are shuffled, or their clock stepped"
+        )
 
 
 @dataclass(frozen=True, slots=True)

@@ -60,6 +60,7 @@ def triangulate(lines: Sequence[Sightline], method: Method = Method.MAXIMUM_LIKE
     all are within 1 deg of parallel, where the point is behind a camera (Eq 3.13 needs t > 0), and for covariances or vectors
     that are no such.
     """
+    method = Method(method)  # its name will do; another word is a ValueError, not another method
     bundle = _bundle(lines)
     shapes = _shapes(bundle, method)
     counted = np.ones(len(lines))  # the ranges that divide the weights
