@@ -1,7 +1,7 @@
 """The circle fit's iteration in machine code: by_numpy's, eight times as fast, and other threads go on meanwhile.
 
-Needs numba (extra `fast`). Importing this module loads the machine code from a cache on disk (0.5 s), or makes it (half a minute,
-once per installation). Signatures are fixed, so nothing is ever compiled later.
+Needs numba (extra `fast`). Importing this module loads the machine code from a cache on disk (0.5 s), or makes it (half a
+minute, once per installation). Signatures are fixed, so nothing is ever compiled later.
 """
 
 from math import ceil
