@@ -180,9 +180,7 @@ class Others:
         """What was kept twice: one of the two is seen, the other is out of sight at the same place."""
         seen = [other for other in self.known if other.unseen == 0]
         self.known = seen + [
-            other
-            for other in self.known
-            if other.unseen > 0 and not any(s.may_have_been(other) for s in seen)
+            other for other in self.known if other.unseen > 0 and not any(s.may_have_been(other) for s in seen)
         ]
 
     def add(self, outlines: Sequence[Found], unseen: int = 0, doubted: int | None = None) -> None:
