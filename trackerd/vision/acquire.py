@@ -21,7 +21,7 @@ from trackerd.formats.settings import TrackingSettings
 from trackerd.geometry.lens import Lens
 from trackerd.vision.bystanders import Bystanders
 from trackerd.vision.curve import View
-from trackerd.vision.everywhere import everywhere
+from trackerd.vision.everywhere import everywhere, is_something_at
 from trackerd.vision.limb import LimbChoice
 from trackerd.vision.locate import locate, refine, search
 from trackerd.vision.look import Look, same_size
@@ -34,6 +34,7 @@ SAME_RADIUS = 0.15  # an outline whose radius differs by more is another thing, 
 LOST_RADIUS = 0.6  # and after it was lost: it may come back at another range
 GROWTH_PX = 4.0  # of the gate, for each frame missed
 GATE_RADII = 0.25  # from where it is expected: what is farther off is looked at together with all the rest
+WAITED_FRAMES = 40  # a target that is where it was expected, while the balls like it are seen elsewhere
 FRESH_FRAMES = 3  # an expectation that was confirmed so few frames ago tells the target from a ball that may be another
 WIDEST_REACH = 0.5  # of the radius: the rays must start inside the outline
 SMALL_IMAGE_PX = 1_500_000  # a greater image is searched for an unknown ball in every second frame: 7 ms and more for 3 Mpx
@@ -176,6 +177,8 @@ class Acquisition:
             return Missed(
                 f"an outline with a grey level of {outline.inside_dn:.0f} is not the target's ({self._look.inside_dn:.0f})"
             )
+        if expected.missed > FRESH_FRAMES and self._look is not None and self._bystanders.doubts(self._look):
+            return Missed("another ball was lost sight of as well: which one is seen cannot be told")
         return self._bystanders.judged(outline, Place(expected.circle, expected.missed))
 
     def _elsewhere(self, image: Image, expected: Expected, growth: float) -> Outline | None:
@@ -195,10 +198,23 @@ class Acquisition:
         nearest_px = expected.distance_px(alike[0])
         if len(alike) > 1 and nearest_px > CLEARLY_NEARER * expected.distance_px(alike[1]):
             return Missed(f"{len(alike)} balls are in view: which one is the target cannot be told")
-        in_place = nearest_px <= r and expected.missed <= FRESH_FRAMES
-        if (self._bystanders.in_doubt and not in_place) or self._bystanders.covers(alike[0], expected.circle):
-            return Missed("another ball is in view: which one is the target cannot be told")
-        return alike[0]
+        doubt = self._doubt(image, alike[0], expected)
+        return Missed(doubt) if doubt else alike[0]
+
+    def _doubt(self, image: Image, found: Found, expected: Expected) -> str:
+        """Why an outline that looks like the target, and is the only one that is left, need not be it; empty: it is."""
+        look, r, away_px = self._look, expected.circle[2], expected.distance_px(found)
+        if away_px > r and is_something_at(image, self._noise, expected.circle):
+            return "a ball is in view elsewhere, but something round is where the target is expected"
+        if away_px > r and self._bystanders.was_there(found):
+            return "another ball is in view, not the target"
+        cannot_be_told = "another ball is in view: which one is the target cannot be told"
+        if self._bystanders.covers(found, expected.circle):
+            return cannot_be_told
+        if look is None or not self._bystanders.doubts(look) or (away_px <= r and expected.missed <= FRESH_FRAMES):
+            return ""
+        waits_there = Place(expected.circle, expected.missed).has(found) and expected.missed <= WAITED_FRAMES
+        return "" if waits_there and self._bystanders.sees_all(look) else cannot_be_told
 
     def _admits(self, found: Found) -> bool:
         return self._radius_px[0] <= found.r_px <= self._radius_px[1]

@@ -4,20 +4,21 @@ While the target is seen this costs next to nothing: a look round in a small pic
 ball that is close. The frame in which it is first missed brings the rest: the image before, in which it was still seen.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from math import hypot
+from math import cos, hypot, pi, sin
 
 import numpy as np
 
 from trackerd.contract.model import Found, Image, Missed, Outline
 from trackerd.vision.curve import View
-from trackerd.vision.everywhere import ITSELF_RADII, everywhere
+from trackerd.vision.everywhere import ITSELF_RADII, everywhere, outlines_at
 from trackerd.vision.kernels import first_circle
 from trackerd.vision.limb import LimbChoice
 from trackerd.vision.locate import locate
+from trackerd.vision.look import Look, same_size
 from trackerd.vision.noise import NoiseModel
-from trackerd.vision.others import DOUBTED_NEW, Others, Place
+from trackerd.vision.others import DOUBTED_NEW, Other, Others, Place
 from trackerd.vision.rays import Circle, edges_on_rays
 
 ALIKE = 0.3  # of the target's radius: other balls that are looked for
@@ -26,6 +27,7 @@ CLOSE_RADII = 4.0  # another ball so close is followed in every frame
 WATCHED_EVERY, WATCHED_EVERY_LARGE = 40, 120  # frames
 WATCHED_EVERY_LOST, LOST_FRAMES = 4, 3  # where one that was close is not where it was expected for so long
 EDGE_PX, HALF_SEEN = 2.0, 0.7  # an edge so near to a circle is on it; so much of what the target leaves of a ball shows edges
+ABOUT, ABOUT_RADII, MOST_RINGS = 8, 0.7, 3  # seeds of the first ring; from ring to ring
 LARGE_IMAGE_PX = 1_000_000
 SMALL_RADIUS_PX = 28.0  # up to this, quarter size is too small to find it
 
@@ -42,17 +44,27 @@ class Bystanders:
     def known(self) -> bool:
         return bool(self._others.known)
 
-    @property
-    def in_doubt(self) -> bool:
-        """Whether one that is followed may be the target as well: then one that is not followed may be the other."""
-        return any(not other.sure for other in self._others.known)
+    def doubts(self, target: Look) -> bool:
+        """Whether one that looks like the target may be it: then one that is not followed may be the other."""
+        return any(not other.sure for other in self._alike_others(target))
+
+    def sees_all(self, target: Look) -> bool:
+        """Whether all that look like the target are in view, as other balls."""
+        return all(other.unseen == 0 for other in self._alike_others(target))
+
+    def _alike_others(self, target: Look) -> list[Other]:
+        return [
+            other
+            for other in self._others.known
+            if same_size(other.look.r_px, target.r_px, ALIKE) and target.has_levels_of(other.look)
+        ]
 
     def forget(self, for_good: bool = False) -> None:
         self._others.forget(for_good)
         self._limb: LimbChoice | None = None
         self._frames = 0
         self._last: tuple[Image, Circle] | None = None  # the last image with the target, not yet looked through
-        self._last_is_ours = False
+        self._last_is_ours = self._looked_back = False
         self._since_last, self._frames_since_last = (0.0, 0.0), 0
 
     def go_on(self, moved_px: tuple[float, float], view: View | None) -> None:
@@ -69,6 +81,7 @@ class Bystanders:
         """
         circle = target.x_px, target.y_px, target.r_px
         self._last, self._last_is_ours, self._limb = (image, circle), False, limb
+        self._looked_back = False
         self._since_last, self._frames_since_last = (0.0, 0.0), 0
         self._frames += 1
         every = WATCHED_EVERY_LARGE if image.size > LARGE_IMAGE_PX else WATCHED_EVERY
@@ -102,18 +115,30 @@ class Bystanders:
 
     def strangers(self, outlines: Sequence[Found], target: Place) -> list[Found]:
         """Those of all outlines in an image that are no other ball's; the others' places are known anew."""
-        if outlines and self._last is not None:
-            self._look_back(outlines)
+        if outlines and self._last is not None and not self._looked_back:
+            self._looked_back = True
+            self._look_back(self._last, outlines)
         return self._others.claim(outlines, target)
+
+    def was_there(self, found: Found) -> bool:
+        """Whether a ball was about there already when the target was last seen: then it is another one. A guess sees more than
+        the search did."""
+        if self._last is None:
+            return False
+        (image, circle), (dx, dy) = self._last, self._since_last
+        seeds = _about((found.x_px - dx, found.y_px - dy, found.r_px), min(self._frames_since_last, MOST_RINGS))
+        if not outlines_at(image, self._noise, seeds, self._alike(circle), self._view, circle, self._limb):
+            return False
+        self._others.add([found])
+        return True
 
     def came_in(self, outlines: Sequence[Found]) -> None:
         """Balls that came into view while the target was missed: for some time they are not taken for it."""
         self._others.add(outlines, doubted=DOUBTED_NEW)
 
-    def _look_back(self, outlines: Sequence[Found]) -> None:
+    def _look_back(self, last: tuple[Image, Circle], outlines: Sequence[Found]) -> None:
         """Balls that were in view beside the target when it was last seen, brought to where those at rest are now."""
-        assert self._last is not None
-        (image, circle), (dx, dy), n, self._last = self._last, self._since_last, self._frames_since_last, None
+        (image, circle), (dx, dy), n = last, self._since_last, self._frames_since_last
         before = everywhere(image, self._noise, self._alike(circle), self._view, besides=circle, limb=self._limb)
         then = Others(self._others.for_good)
         then.known = [replace(o, x_px=o.x_px - dx, y_px=o.y_px - dy, unseen=o.unseen + n) for o in self._others.known]
@@ -168,6 +193,16 @@ class Bystanders:
 
     def _alike(self, target: Circle) -> tuple[float, float]:
         return max(target[2] * (1.0 - ALIKE), self._radius_px[0]), min(target[2] * (1.0 + ALIKE), self._radius_px[1])
+
+
+def _about(circle: Circle, rings: int) -> Iterator[Circle]:
+    """Where a ball may have been some frames ago: there, and in rings round it."""
+    x, y, r = circle
+    yield circle
+    for ring in range(1, rings + 1):
+        for n in range(ABOUT * ring):
+            turn, away_px = n * 2.0 * pi / (ABOUT * ring), ABOUT_RADII * ring * r
+            yield x + away_px * cos(turn), y + away_px * sin(turn), r
 
 
 def _merged_px(target: Circle) -> float:

@@ -164,10 +164,13 @@ class Others:
             other, outline = self.known[o], outlines[f]
             elsewhere = in_place or target.distance_px(outline) > target.reach_px  # the target is not there
             clear = other.unseen <= CLEAR_FRAMES or (o not in contested and elsewhere)
-            if not (clear and other.is_expected_at(outline)):
+            if not (clear and other.is_expected_at(outline)) or _is_as_near_to(target, other, outline):
                 other.doubt(None if self.for_good else DOUBTED)
             other.seen(outline)
         self._drop_ghosts()
+        for other in self.known:
+            if target.missed > 0 and other.unseen > CLEAR_FRAMES:  # where it is now, or which one it will be, is not known
+                other.doubt(None if self.for_good else DOUBTED)
         return [found for f, found in enumerate(outlines) if f not in owner]
 
     def confirm(self) -> None:
@@ -188,6 +191,13 @@ class Others:
         for found in outlines:
             if not any(o.unseen == 0 and o.distance_px(found.x_px, found.y_px) < ITSELF_RADII * found.r_px for o in self.known):
                 self.known.append(Other(Look.of(found), found.x_px, found.y_px, unseen=unseen, doubted=doubted))
+
+
+def _is_as_near_to(target: Place, other: Other, found: Found) -> bool:
+    """Whether an outline is hardly farther from the missed target's place than from another ball's, which strays."""
+    strays_px = STEADY_RADII * other.look.r_px
+    off_px = other.distance_px(found.x_px, found.y_px)
+    return target.missed > 0 and off_px > strays_px and target.distance_px(found) < off_px + strays_px + STEADY_PX
 
 
 def _may_claim(other: Other, found: Found, target: Place) -> bool:
