@@ -6,10 +6,11 @@ up in the last image in which the target was seen. Balls that are found to be ot
 missed, and at times while it is seen (`Bystanders`).
 
 What cannot be known is refused, with the reason: an outline where the target and another ball are expected within half a
-radius; one of two outlines that are equally near; for 100 frames a ball that comes in over the image's edge while the target
-was hidden in the middle, and one that may be another's that was out of sight as well as the target. What is not guaranteed,
-because no image shows it: equal balls of which the target and another were hidden at one time, away from where each was last
-seen; and an equal ball that nobody had seen (it was behind something, or nearly all behind the target) and that appears while
+radius; one of two outlines that are equally near; a ball that comes in over the image's edge while the target was hidden in
+the middle; and any ball after an equal one was lost sight of as well, or passed so near that the two may have changed places,
+unless the target waits where it was expected and the others are seen elsewhere. A target that somebody chose has to be chosen
+again then; for one that was found by itself such doubts end after 100 to 300 frames. What is not guaranteed, because no image
+shows it: an equal ball that nobody had seen (it was behind something, or nearly all behind the target) and that appears while
 the target is hidden.
 """
 
@@ -118,11 +119,17 @@ class Acquisition:
             self._lost_frames += 1
             if self._lost_frames > KEPT_FRAMES and not self._chosen:
                 self._look = None
+            if self._look is not None and self._is_past_telling(self._look, self._lost):
+                return Missed("another ball may be the target: it has to be chosen again")
             if self._look is not None or self._bystanders.known:
                 return self._elsewhere(image, self._lost, LOST_RADIUS) or Missed(NOTHING)
         if image.size > SMALL_IMAGE_PX and frame_id % 2:
             return Missed("a large image is searched in every second frame")
         return search(image, self._noise, self._radius_px, near_px, self._view)
+
+    def _is_past_telling(self, look: Look, lost: Expected) -> bool:
+        """Whether nothing that may come into view will be taken for the target: then it is not looked for."""
+        return self._chosen and lost.missed > WAITED_FRAMES and self._bystanders.doubts(look)
 
     def near(self, image: Image, expected: Expected) -> Outline:
         """The ball that is followed, by prediction, tracker or search, whichever is the first to have a plausible outline."""
