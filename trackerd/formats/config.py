@@ -28,10 +28,12 @@ KEYS = ("name", "calibration", "probe", "camera", "gimbal", "fusion", "zenoh", "
 NAME = re.compile(r"[a-z][a-z0-9_-]*")
 NAME_RULE = "a name has small letters, digits, - and _ only, and begins with a letter"
 
+CALIBRATION_RULE = "must be the calibration file's path in quotes"
+
 SettingsOf: TypeAlias = Callable[[str, str], type[Settings]]
 Some = TypeVar("Some", bound=Settings)
 
-__all__ = ["CellConfig", "SettingsOf", "load_cell"]
+__all__ = ["CellConfig", "SettingsOf", "calibration_path", "load_cell"]
 
 
 def load_cell(path: Path, overrides: Sequence[str] = (), *, settings_of: SettingsOf) -> CellConfig:
@@ -48,6 +50,22 @@ def load_cell(path: Path, overrides: Sequence[str] = (), *, settings_of: Setting
         if key not in KEYS:
             problems.add((), key, tables[key], "unknown key or table" + nearest(key, KEYS))
     return _Reader(tables, path.absolute(), problems, settings_of).cell()
+
+
+def calibration_path(path: Path, overrides: Sequence[str] = ()) -> Path:
+    """The calibration file that a cell's file names; nothing else of it is looked at, nor whether the calibration is sound.
+
+    Raises ConfigError.
+    """
+    tables = read_tables(path)
+    problems = Problems(path.name)
+    for text in overrides:
+        _override(tables, text, problems)
+    value = tables.get("calibration", NO_VALUE)
+    if not isinstance(value, str) or not value:
+        problems.add((), "calibration", value, CALIBRATION_RULE)
+    problems.raise_any()
+    return located(path.absolute().parent, value)
 
 
 @dataclass(slots=True)
@@ -85,7 +103,7 @@ class _Reader:
         """Where the calibration is, and what it holds where it can be read."""
         value = self.tables.get("calibration", NO_VALUE)
         if not isinstance(value, str) or not value:
-            self.problems.add((), "calibration", value, "must be the calibration file's path in quotes")
+            self.problems.add((), "calibration", value, CALIBRATION_RULE)
             return self.path, None
         path = located(self.path.parent, value)
         if not path.is_file():

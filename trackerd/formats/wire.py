@@ -25,6 +25,10 @@ appears: what is not known is null.
 | valid_until_unix_ns | Unix time after which it is stale whatever `valid` says, ns |
 | source | "live", "twin" or "replay": where the photons came from |
 | calibration_id | the calibration's id |
+| calibration | its standing: id; forced, past its own chi-square; verified, by check points; expired; notes, in words |
+
+A position on a calibration that was forced, was never verified or has expired is not refused for it: it says so, and whoever
+acts upon it decides. `verified` is false where it has expired.
 
 A status, schema "trackerd/status/1", holds schema, source, t_published_unix_ns, and what each device and task tells of itself.
 """
@@ -42,6 +46,7 @@ from pydantic_core import to_json
 
 from trackerd.contract.clock import Clock, HostNs
 from trackerd.contract.model import Array, Fix, Source
+from trackerd.formats.calibration import Standing
 from trackerd.formats.settings import ZenohSettings
 
 POSITION_SCHEMA = "trackerd/position/1"
@@ -88,7 +93,7 @@ def token_pattern(key: str) -> str:
     return f"{key}/alive/*"
 
 
-def fix_message(fix: Fix, clock: Clock, valid_until: HostNs, source: Source, calibration_id: str) -> Message:
+def fix_message(fix: Fix, clock: Clock, valid_until: HostNs, source: Source, calibration: Standing) -> Message:
     """The message for a fix that is published now. Past `valid_until` it is stale already."""
     now = clock.now()
     exposed, until = clock.unix(fix.instant), clock.unix(valid_until)
@@ -115,7 +120,8 @@ def fix_message(fix: Fix, clock: Clock, valid_until: HostNs, source: Source, cal
         "stations": list(fix.stations),
         "valid_until_unix_ns": until,
         "source": source.value,
-        "calibration_id": calibration_id,
+        "calibration_id": calibration.id,
+        "calibration": plain(calibration),
     }
     if now > valid_until:
         _mark_stale(message)
