@@ -9,11 +9,12 @@ from enum import StrEnum
 from math import degrees, hypot
 
 from trackerd.contract.clock import ControllerUs, HostNs
-from trackerd.contract.model import AxisCommand, AxisMode, GimbalFlag, GimbalInfo, GimbalReport, TrackState
+from trackerd.contract.model import AxisCommand, GimbalFlag, GimbalInfo, GimbalReport, TrackState
 from trackerd.engine.axis_test import Verdict
 from trackerd.engine.divergence import DivergenceWatch
 from trackerd.engine.enabling import Enabling, is_enabled
 from trackerd.engine.proof import Proof
+from trackerd.engine.records import position, still
 from trackerd.engine.track import Step
 from trackerd.engine.trouble import is_safety_input, news_of, trouble_of
 from trackerd.formats.settings import SteeringSettings
@@ -33,6 +34,7 @@ class AxesState(StrEnum):
     ENABLING = "enabling"
     TESTING = "testing"
     FOLLOWING = "following"
+    POINTING = "pointing"  # to where a calibration wants to look
 
 
 MOVING = (AxesState.TESTING, AxesState.FOLLOWING)
@@ -157,14 +159,15 @@ class Axes:
             return AxisCommand(0)  # listen first: any command would enable or disable axes whose state is not known
         self._sequence = self._sequence % 0xFFFF + 1
         self._proceed(report)
+        watchdog_ms = self._steering.watchdog_ms
         if self._state is AxesState.TESTING:
-            return self._position(self._proof.set_point(dt_s), controller_now)
+            return position(self._sequence, watchdog_ms, self._proof.set_point(dt_s), controller_now)
         if self._state is AxesState.FOLLOWING:
-            return self._position(self._next_point(now, dt_s), controller_now)
+            return position(self._sequence, watchdog_ms, self._next_point(now, dt_s), controller_now)
         if self._state is AxesState.ENABLING:
             wish = self._enabling.wish(report)
-            return self._still(wish.enable, wish.reset_fault)
-        return self._still(enable=bool(report.flags & GimbalFlag.ENABLED))
+            return still(self._sequence, watchdog_ms, wish.enable, wish.reset_fault)
+        return still(self._sequence, watchdog_ms, enable=bool(report.flags & GimbalFlag.ENABLED))
 
     def snapshot(self) -> AxesSnapshot:
         report, step = self._report, self._step
@@ -280,23 +283,3 @@ class Axes:
             return self._limiter.stop_step(dt_s)
         target = point.moved_to(now)
         return self._limiter.step(target.az_rad, target.el_rad, target.az_rad_s, target.el_rad_s, dt_s)
-
-    def _still(self, enable: bool, reset_fault: bool = False) -> AxisCommand:
-        """Heartbeat and hold. Where nothing is to begin the drive stays as it is: enabling and disabling are moves."""
-        return AxisCommand(self._sequence, enable=enable, reset_fault=reset_fault, watchdog_ms=self._steering.watchdog_ms)
-
-    def _position(self, point: Point, controller_now: ControllerUs | None) -> AxisCommand:
-        az, el, az_rate, el_rate = point
-        return AxisCommand(
-            sequence=self._sequence,
-            mode=AxisMode.POSITION,
-            az_rad=az,
-            el_rad=el,
-            az_rad_s=az_rate,
-            el_rad_s=el_rate,
-            at=controller_now,
-            enable=True,
-            follow=True,
-            velocity_valid=True,
-            watchdog_ms=self._steering.watchdog_ms,
-        )

@@ -15,9 +15,12 @@ Sign = Literal[-1, 1]
 
 
 class PathSettings(Settings):
-    """Where the probe goes. It stands still for `dwell_s`, then starts without a jump of its acceleration."""
+    """Where the probe goes. It stands still for `dwell_s`, then starts without a jump of its acceleration.
 
-    kind: Literal["still", "circle", "raster", "random"] = "circle"
+    `external`: it stands at the centre until a request on the control socket moves it, as a machine's program would.
+    """
+
+    kind: Literal["still", "circle", "raster", "random", "external"] = "circle"
     centre_mm: Vector = (0.0, 0.0, 0.0)
     normal: Vector = (0.0, 0.0, 1.0)  # of the plane of circle and raster
     radius_mm: Annotated[float, Field(gt=0, le=2000)] = 150.0  # raster: half the length of a row; random: bound of the reach

@@ -4,12 +4,13 @@ import asyncio
 import logging
 from contextlib import aclosing, suppress
 from dataclasses import replace
+from typing import Protocol
 
-from trackerd.contract.clock import Clock
+from trackerd.contract.clock import Clock, ControllerUs, HostNs
 from trackerd.contract.errors import DeviceError, DeviceTimeout
-from trackerd.contract.model import AxisAngles, Frame, NoAngle
+from trackerd.contract.model import AxisAngles, AxisCommand, Frame, GimbalInfo, GimbalReport, NoAngle
 from trackerd.contract.ports import Gimbal
-from trackerd.engine.axes import Axes, AxesSnapshot
+from trackerd.engine.axes import AxesSnapshot
 from trackerd.engine.latched import LatchedAngles, RecordingTime
 from trackerd.engine.track import Step
 from trackerd.estimate.clockfit import FitStatistics
@@ -24,6 +25,30 @@ ZERO_CYCLES = 40
 SEQUENCES = 0x10000
 OUT_OF_STEP_FRAMES = 25  # about half a second
 FAREWELL_CYCLES = 3  # 'hold' is sent this often before the link is closed
+
+
+class Axes(Protocol):
+    """What a link steers: axes that follow the target, or that look where a calibration wants them to."""
+
+    def arm(self) -> str: ...
+
+    def hold(self, reason: str) -> None: ...
+
+    def connected(self, info: GimbalInfo) -> None: ...
+
+    def link_lost(self, reason: str) -> None: ...
+
+    def restarted(self, reason: str) -> None: ...
+
+    def reported(self, report: GimbalReport) -> None: ...
+
+    def seen(self, step: Step) -> None: ...
+
+    def unseen(self) -> None: ...
+
+    def command(self, now: HostNs, controller_now: ControllerUs | None) -> AxisCommand: ...
+
+    def snapshot(self) -> AxesSnapshot: ...
 
 
 class AxesLink:

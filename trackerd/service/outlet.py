@@ -8,6 +8,7 @@ from typing import Any
 from trackerd.contract.clock import Clock, HostNs
 from trackerd.contract.model import Fix, FixState, Source
 from trackerd.formats import wire
+from trackerd.formats.calibration import Calibration, Standing
 from trackerd.service.stages import Stage
 from trackerd.service.zenoh_link import ZenohLink
 
@@ -19,7 +20,7 @@ class Outlet:
     link: ZenohLink
     clock: Clock
     source: Source
-    calibration_id: str
+    calibration: Calibration
     valid_ns: int  # a fix is valid this long after its instant
     gather: Callable[[], dict[str, Any]]  # the status of everything, as plain values
     published: Stage = field(default_factory=Stage)
@@ -33,7 +34,7 @@ class Outlet:
             reason = f"another publisher is alive on {self.link.keys.position}"
             fix = replace(fix, reasons=(*fix.reasons, reason))
         until = HostNs(fix.instant + self.valid_ns)
-        message = wire.fix_message(fix, self.clock, until, self.source, self.calibration_id)
+        message = wire.fix_message(fix, self.clock, until, self.source, self._standing())
         self.link.put_position(wire.encode(message))
         self.last = message
         self.fixes += 1
@@ -56,7 +57,12 @@ class Outlet:
         """The last fix, with the age and validity of now."""
         if self.last is None:
             raise ValueError("no position yet")
-        return wire.answer(self.last, self.clock.unix(self.clock.now()))
+        current = self.last | {"calibration": wire.plain(self._standing())}
+        return wire.answer(current, self.clock.unix(self.clock.now()))
 
     def answer_status(self, _request: dict[str, Any]) -> dict[str, Any]:
-        return wire.status_message(self.gather(), self.clock, self.source)
+        return wire.status_message(self.gather() | {"calibration": self._standing()}, self.clock, self.source)
+
+    def _standing(self) -> Standing:
+        """A calibration may expire while the cell runs."""
+        return self.calibration.standing(self.clock.unix(self.clock.now()))

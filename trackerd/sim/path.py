@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import pairwise
-from math import cos, pi, sin, sqrt
+from math import ceil, cos, pi, sin, sqrt
 from typing import TypeAlias
 
 import numpy as np
@@ -25,17 +25,28 @@ class ProbePath:
     def __init__(self, settings: PathSettings, seed: int = 1) -> None:
         self.settings = settings
         self._centre_mm = np.array(settings.centre_mm)
-        self._motion = _motion(settings, seed)
+        self._ordered = Ordered(settings) if settings.kind == "external" else None
+        self._motion = self._ordered.at if self._ordered is not None else _motion(settings, seed)
+        self._dwell_s = settings.dwell_s if self._ordered is None else 0.0
 
     def at(self, t_ns: int) -> State:
         """Position (mm), velocity (mm/s) and acceleration (mm/s^2), each (3,) in W."""
-        p, v, a = self._motion(max(0.0, t_ns * 1e-9 - self.settings.dwell_s))
+        p, v, a = self._motion(max(0.0, t_ns * 1e-9 - self._dwell_s))
         return self._centre_mm + p, v, a
+
+    def go(self, t_ns: int, p_mm: Array) -> int:
+        """Sets off to a point of W at an instant, or when it has arrived where it is going; when it will be there, ns.
+
+        Raises ValueError for a path that is not external.
+        """
+        if self._ordered is None:
+            raise ValueError(f'twin.path.kind = "{self.settings.kind}": only an external path is moved by requests')
+        return ceil(self._ordered.go(t_ns * 1e-9, p_mm - self._centre_mm) * 1e9)
 
 
 def _motion(settings: PathSettings, seed: int) -> Callable[[float], State]:
     match settings.kind:
-        case "still":
+        case "still" | "external":
             return _still
         case "circle":
             return Circle(settings).at
@@ -113,6 +124,32 @@ def _raster_corners(half_row_mm: Array, step_mm: Array, rows: int) -> list[Array
         side = 1.0 if row % 2 else -1.0
         corners += [middle + side * half_row_mm, middle - side * half_row_mm]
     return corners
+
+
+class Ordered:
+    """At rest until told where to go, then straight there, from rest to rest."""
+
+    def __init__(self, settings: PathSettings) -> None:
+        self._fastest = Ramp(settings.speed_mm_s, settings.acceleration_mm_s2, settings.jerk_mm_s3)
+        self._legs: list[Leg] = []
+        self._there_s, self._there_mm = 0.0, np.zeros(3)  # when and where the last leg ends
+
+    def go(self, t_s: float, p_mm: Array) -> float:
+        """When it will be there, s."""
+        way = p_mm - self._there_mm
+        length = float(np.linalg.norm(way))
+        if length > 0.0:
+            leg = Leg(max(t_s, self._there_s), self._there_mm, way / length, Stroke.over(length, self._fastest))
+            self._legs.append(leg)
+            self._there_s, self._there_mm = leg.begin_s + leg.stroke.duration_s, p_mm
+        return max(t_s, self._there_s)
+
+    def at(self, t_s: float) -> State:
+        leg = next((leg for leg in reversed(self._legs) if leg.begin_s <= t_s), None)
+        if leg is None:
+            return _still(t_s)
+        way, speed, acceleration = leg.stroke.at(min(t_s - leg.begin_s, leg.stroke.duration_s))
+        return leg.start_mm + way * leg.direction, speed * leg.direction, acceleration * leg.direction
 
 
 class Wander:

@@ -20,6 +20,7 @@ from trackerd.sim.backdrop import Backdrop, SensorNoise
 from trackerd.sim.edge import Edge, Floats, Limb
 from trackerd.sim.noise import key
 
+FARTHEST_ASIDE = 1.0  # of the depth: beyond 45 deg no lens of a cell sees, and distortion would fold the ball back into view
 SHARP_PX = 0.2  # a motion below this widens an edge of sigma 0.9 px by less than 0.3 %
 
 
@@ -93,7 +94,7 @@ class Renderer:
         balls = []
         for pose, probe_mm in zip(poses, probes_mm, strict=False):
             p_camera = pose.inverse().move(probe_mm)
-            if p_camera[2] > 2.0 * self._radius_mm:
+            if p_camera[2] > 2.0 * self._radius_mm and hypot(p_camera[0], p_camera[1]) < FARTHEST_ASIDE * p_camera[2]:
                 e = outline(p_camera, self._radius_mm, self._lens)
                 x_px, y_px = e.x_px - self._origin_px[0], e.y_px - self._origin_px[1]
                 balls.append(Ellipse(x_px, y_px, e.a_px, e.b_px, e.angle_rad))

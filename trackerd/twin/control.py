@@ -10,6 +10,7 @@
     {"do": "stop_stream", "camera": "left"}              and "start_stream"
     {"do": "drop_frames", "camera": "left", "frames": 5}
     {"do": "hide_probe", "for_s": 1.0}                   from every camera, or from {"camera": "left"}
+    {"do": "move_probe", "position_mm": [0, 0, 50]}      along an external path; tells when it will be there
     {"do": "status"}    per gimbal: true angles and rates, enabled, following, comm lost, trips of the watchdog ...
     {"do": "truth", "t_host_ns": 123}                    default: now
     {"do": "statistics"}                                 per camera: exposed, delivered, dropped, overruns ...

@@ -3,6 +3,8 @@
 from collections.abc import Callable
 from typing import Any
 
+import numpy as np
+
 from trackerd.contract.clock import Clock
 from trackerd.twin.camera import TwinCamera
 from trackerd.twin.cell import TwinCell, TwinGimbal
@@ -10,6 +12,7 @@ from trackerd.twin.control import Answer, Request
 from trackerd.twin.modbus import READ_WRITE
 from trackerd.twin.truth import truth_message
 
+FARTHEST_MM = 10_000.0
 REBOOT_S = 0.2  # a restarted controller is off the wire for this long
 
 
@@ -35,6 +38,7 @@ class ControlDesk:
         }
         self._questions: dict[str, Callable[[Request], Answer]] = {
             "hide_probe": self._hide_probe,
+            "move_probe": self._move_probe,
             "status": self._status,
             "truth": self._truth,
             "statistics": lambda _: {name: camera.statistics() for name, camera in cell.cameras.items()},
@@ -63,6 +67,13 @@ class ControlDesk:
         for camera in [cameras[request["camera"]]] if "camera" in request else cameras.values():
             camera.hide_probe(_duration_s(request))
         return {"done": "hide_probe"}
+
+    def _move_probe(self, request: Request) -> Answer:
+        p_mm = np.array(request["position_mm"], float)
+        if p_mm.shape != (3,) or not np.abs(p_mm).max() < FARTHEST_MM:
+            raise ValueError(f"position_mm = {request['position_mm']}: must be x, y, z within {FARTHEST_MM:g} mm")
+        times = self._cell.times
+        return {"done": "move_probe", "there_host_ns": times.host(self._cell.scene.path.go(times.now(), p_mm))}
 
     def _status(self, _: Request) -> Answer:
         now = self._cell.times.now()

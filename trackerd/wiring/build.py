@@ -1,5 +1,6 @@
 """Objects from the configuration: everything that a running cell is made of. Heavy: engines, OpenCV, SciPy."""
 
+import logging
 import sys
 from contextlib import AbstractAsyncContextManager
 from typing import Any
@@ -29,6 +30,8 @@ from trackerd.service.vital_signs import VitalSigns
 from trackerd.service.zenoh_link import ZenohLink
 from trackerd.wiring.cell import driver
 
+log = logging.getLogger("trackerd")
+
 SWITCH_S = 0.0005  # the loop waits no longer for a worker that holds the interpreter; the default of 5 ms is a bus cycle
 
 
@@ -41,10 +44,12 @@ def settle_threads() -> None:
 def build(cell: CellConfig, source: Source, link: ZenohLink, clock: Clock, told: dict[str, Any] | None = None) -> CellService:
     """`told`: what the twin announced, where the cell has one."""
     calibration = load_calibration(cell.calibration)
+    for note in calibration.standing(clock.unix(clock.now())).notes:
+        log.warning("calibration %s: %s", calibration.id, note)
     period_s = 1.0 / min(camera.frame_rate_hz for camera in cell.cameras.values())
     fuser = Fuser(tuple(cell.gimbals), cell.fusion, cell.probe.radius_mm, cell.probe.radius_tolerance, round(period_s * 1e9))
     status = CellStatus(cell.name, __version__, calibration, told)
-    outlet = Outlet(link, clock, source, calibration.id, round(cell.fusion.valid_periods * period_s * 1e9), status.gather)
+    outlet = Outlet(link, clock, source, calibration, round(cell.fusion.valid_periods * period_s * 1e9), status.gather)
     fusion = FusionTask(fuser, clock, outlet.fix, period_s)
     recording = RecordingTime()
     stations = {

@@ -5,6 +5,7 @@ import importlib.util
 import os
 import resource
 import socket
+import time
 from collections.abc import Iterator
 from contextlib import closing
 from dataclasses import dataclass
@@ -14,14 +15,15 @@ from pathlib import Path
 from trackerd.contract.clock import SystemClock
 from trackerd.contract.errors import ConfigError, DeviceError
 from trackerd.contract.model import Source
-from trackerd.formats.calibration import load_calibration
+from trackerd.formats.calibration import FEWEST_CHECK_POINTS, Calibration, load_calibration
 from trackerd.formats.config import CellConfig
 from trackerd.formats.settings import CameraSettings, GimbalSettings
-from trackerd.wiring.cell import driver
+from trackerd.wiring.cell import driver, source_of
 
 OPEN_S = 5.0
 FILES_WANTED = 4096  # buffers, sockets and USB descriptors; pylon alone asks for some hundred
 RTPRIO_WANTED = 50
+VERIFY = f"measure {FEWEST_CHECK_POINTS} points or more outside the adjustment, and compare them with their reference values"
 BUFFERS = 10  # that the camera library queues
 
 
@@ -34,12 +36,7 @@ class Finding:
 
 def examine(cell: CellConfig) -> Iterator[Finding]:
     """The calibration, the ports, the machine's limits, then each device in turn: it is opened and closed, nothing moves."""
-    calibration = load_calibration(cell.calibration)
-    yield Finding(
-        not calibration.forced,
-        f"calibration {calibration.id} of {calibration.created} ({calibration.method})",
-        "it was forced past its own chi-square: calibrate again",
-    )
+    yield from _calibration(load_calibration(cell.calibration), source_of(cell) is Source.TWIN)
     yield from (_endpoint(endpoint) for endpoint in cell.zenoh.listen)
     yield from _limits()
     yield from _usb(cell)
@@ -47,6 +44,28 @@ def examine(cell: CellConfig) -> Iterator[Finding]:
         yield _device("camera", name, camera)
     for name, gimbal in cell.gimbals.items():
         yield _device("gimbal", name, gimbal)
+
+
+def _calibration(calibration: Calibration, twin: bool) -> Iterator[Finding]:
+    """A twin knows its truth: nothing is there to be verified."""
+    yield Finding(
+        not calibration.forced,
+        f"calibration {calibration.id} of {calibration.created} ({calibration.method})",
+        f"it was forced past its own chi-square ({calibration.forced_because}): calibrate again",
+    )
+    v = calibration.verification
+    if v is None:
+        yield Finding(
+            twin, f"check points: none{', and none needed: a twin is true' if twin else ''}", f"it is unverified: {VERIFY}"
+        )
+        return
+    figures = f"rms {v.rms_mm:.3g} mm, maximum {v.max_mm:.3g} mm, En {v.en_max:.3g}"
+    until = "" if v.expires is None else f", good until {v.expires}"
+    yield Finding(
+        calibration.standing(time.time_ns()).verified,
+        f"check points: {v.points} on {v.date}, {figures}{until}",
+        f"{'; '.join(('it is unverified', *v.shortcomings())) if v.shortcomings() else 'it has expired'}: {VERIFY}",
+    )
 
 
 def _endpoint(endpoint: str) -> Finding:
