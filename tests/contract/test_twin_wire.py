@@ -353,6 +353,16 @@ async def test_a_hidden_probe_is_not_on_the_image() -> None:
             assert eye.frame(await eye.doorbell()).max() < 100
 
 
+async def test_an_external_probe_is_moved_and_tells_when_it_is_there() -> None:
+    async with running_twin("twin.path.kind=external", "twin.path.speed_mm_s=2000") as twin:
+        answer = await control(twin, do="move_probe", position_mm=[10.0, -20.0, 30.0])
+        truth = await control(twin, do="truth", t_host_ns=answer["there_host_ns"])
+        assert truth["position_mm"] == pytest.approx([10.0, -20.0, 30.0], abs=1e-9)
+        assert "must be x, y, z" in (await control(twin, do="move_probe", position_mm=[1e9, 0, 0]))["error"]
+    async with running_twin() as twin:
+        assert "only an external path" in (await control(twin, do="move_probe", position_mm=[0, 0, 0]))["error"]
+
+
 async def test_a_second_client_is_sent_away_and_a_dead_one_is_replaced() -> None:
     async with running_twin() as twin:
         path = twin["cameras"]["left"]["socket"]

@@ -13,6 +13,7 @@ from system.cell import DEADLINE_S, DEMO, Cell, Message, ask_twin, free_port, li
 
 CONFIG = DEMO.parent
 RUN_ELSEWHERE = {"emulated.toml": "test_emulated.py"}
+RUN_AS_UNITS = {"budget.toml": "../unit/test_budget_command.py"}
 GIMBALS = ("left", "right")
 SERIALS = ("0815-0002", "0815-0003")
 
@@ -48,8 +49,8 @@ def ends_cleanly(cell: Cell) -> None:
 def test_every_file_is_run_by_a_test_or_is_a_part_of_one_that_is() -> None:
     cells = {"cell.toml", "demo.toml", *RUN_ELSEWHERE}
     parts = {tomllib.loads((CONFIG / name).read_text())["calibration"] for name in cells}
-    assert {file.name for file in CONFIG.iterdir()} == cells | parts
-    for name, test in RUN_ELSEWHERE.items():
+    assert {file.name for file in CONFIG.iterdir()} == cells | parts | {*RUN_AS_UNITS}
+    for name, test in (RUN_ELSEWHERE | RUN_AS_UNITS).items():
         assert name in (Path(__file__).parent / test).read_text()
 
 

@@ -16,7 +16,7 @@ UNDER_WAY = 10  # frames that are exposed, rendered and transferred now, or were
 POSITION_KEYS = {
     "schema", "sequence", "t_unix_ns", "t_received_unix_ns", "t_published_unix_ns", "age_ms", "state", "valid", "reasons",
     "frame", "unit", "point", "position_mm", "velocity_mm_s", "covariance_mm2", "systematic_covariance_mm2", "sigma_mm",
-    "miss_mm", "stations", "valid_until_unix_ns", "source", "calibration_id",
+    "miss_mm", "stations", "valid_until_unix_ns", "source", "calibration_id", "calibration",
 }  # fmt: skip
 
 
@@ -98,6 +98,7 @@ def test_a_position_says_all_that_a_robot_needs(demo: Cell) -> None:
     for m in still(demo) + on_the_circle(demo):
         assert set(m) >= POSITION_KEYS
         assert (m["schema"], m["source"], m["calibration_id"]) == (POSITION_SCHEMA, "twin", "demo-1")
+        assert (m["calibration"]["id"], m["calibration"]["forced"], m["calibration"]["verified"]) == ("demo-1", False, False)
         assert (m["frame"], m["unit"], m["point"]) == ("W", "mm", "sphere_centre")
         assert m["valid"] == (not m["reasons"])
         assert m["t_received_unix_ns"] <= m["t_published_unix_ns"]

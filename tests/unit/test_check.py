@@ -5,6 +5,7 @@ import importlib.util
 import socket
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager, closing
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -14,6 +15,7 @@ import pytest
 from drivers.usb.vision import NoUsb, UsbCamera
 from trackerd.cli import main
 from trackerd.contract.errors import DeviceMissing
+from trackerd.formats.calibration import Verification, load_calibration, save_calibration
 from trackerd.wiring import check
 from trackerd.wiring.cell import load
 from trackerd.wiring.check import Finding, examine
@@ -126,11 +128,42 @@ def test_a_mount_that_does_not_move_is_opened_and_closed(tmp_path: Path) -> None
 
 
 def test_a_calibration_that_was_forced_is_told(tmp_path: Path) -> None:
-    text = (CONFIG / "demo-calibration.toml").read_text()
-    (tmp_path / "forced.toml").write_text(text.replace("forced = false", "forced = true"))
-    [calibration, *_] = examine(load(CONFIG / "demo.toml", [f"calibration={tmp_path / 'forced.toml'}"]))
+    [calibration, *_] = judged(tmp_path, forced=True, forced_because="the fair opens at nine")
     assert not calibration.good
-    assert "forced past its own chi-square" in calibration.mend
+    assert "forced past its own chi-square (the fair opens at nine)" in calibration.mend
+
+
+CHECKED = Verification("2025-03-01", points=12, rms_mm=0.04, max_mm=0.09, en_max=0.8, expires="2999-01-01")
+
+
+@pytest.mark.parametrize(
+    ("verification", "what", "mend"),
+    [
+        (CHECKED, "check points: 12 on 2025-03-01, rms 0.04 mm, maximum 0.09 mm, En 0.8, good until 2999-01-01", None),
+        (None, "check points: none", "it is unverified: measure 8 points or more outside the adjustment"),
+        (replace(CHECKED, en_max=1.2), "En 1.2", "it is unverified; En 1.2 above 1: measure 8 points"),
+        (replace(CHECKED, expires="2025-06-01"), "good until 2025-06-01", "it has expired: measure 8 points"),
+    ],
+)
+@pytest.mark.usefixtures("no_cameras", "usb")
+def test_a_calibration_that_no_check_points_verify_any_more_is_told(
+    tmp_path: Path, verification: Verification | None, what: str, mend: str | None
+) -> None:
+    found = about(judged(tmp_path, "cell.toml", verification=verification), "check points:")
+    assert what in found.what
+    assert found.good is (mend is None)
+    assert mend is None or found.mend.startswith(mend)
+
+
+def test_a_twin_needs_no_check_points(tmp_path: Path) -> None:
+    assert about(judged(tmp_path), "check points: none").good
+
+
+def judged(tmp_path: Path, cell: str = "demo.toml", **changes: Any) -> list[Finding]:
+    """What is found where the calibration is the demo's with these changes."""
+    save_calibration(replace(load_calibration(CONFIG / "demo-calibration.toml"), **changes), tmp_path / "c.toml")
+    overrides = [f"calibration={tmp_path / 'c.toml'}", *(nobody_listens() if cell == "cell.toml" else [])]
+    return list(examine(load(CONFIG / cell, overrides)))
 
 
 @pytest.mark.parametrize(

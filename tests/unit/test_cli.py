@@ -22,7 +22,7 @@ CONFIG = Path(__file__).parents[2] / "config"
 DEMO = str(CONFIG / "demo.toml")
 DONE, WRONG, REFUSED = 0, 2, 3
 
-COMMANDS = ("check", "twin", "watch", "select", "arm", "calibrate", "inspect")
+COMMANDS = ("check", "twin", "watch", "select", "arm", "calibrate", "calibration", "inspect", "align")
 OPTIONS = {
     "": ("--config", "--set", "--duration", "--version", "exit status", *COMMANDS),
     "check": ("--config", "--set"),
@@ -30,8 +30,18 @@ OPTIONS = {
     "watch": ("--config", "--set", "--duration", "--plain"),
     "select": ("--config", "--set", "--gimbal", "--pixel", "--radius", "auto"),
     "arm": ("--config", "--set", "--gimbal", "--hold", "small slow move"),
-    "calibrate": ("noise",),
+    "calibrate": ("noise", "lens"),
+    "calibrate lens": ("IMAGES", "--output", "--report", "--zoom", "--board", "--square-mm", "--points", "Exit status 3"),
     "calibrate noise": ("PATH", "--config", "--set", "--out", "--camera", "--frames", "Exit status 3"),
+    "calibration": ("list", "show", "add", "activate", "rollback", "export", "import"),
+    "calibration list": ("--config", "--set", "--calibration"),
+    "calibration show": ("ID", "--config", "--calibration", "--volume"),
+    "calibration add": ("FILE", "--config"),
+    "calibration activate": ("ID", "--config", "--why", "--who", "--yes", "--volume"),
+    "calibration rollback": ("--config", "--why", "--who", "--yes"),
+    "calibration export": ("FILE", "--station", "--format", "opencv", "camera_info", "--id"),
+    "calibration import": ("FILE", "--station", "--id"),
+    "align": ("MEASURED", "NOMINAL", "--name", "--output", "--plane", "--line", "--origin", "--leave-out", "Exit status 3"),
     "inspect": ("PATH", "--config", "--set", "--out", "--csv", "--guess", "--station", "--live", "--camera", "--frames"),
 }
 

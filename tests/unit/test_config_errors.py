@@ -214,7 +214,11 @@ WRONG = [
         "[zenoh] lease_ms = 10: must be at least 500 and at most 60000",
     ),
     ("seed = 1", "seed = -1", "[twin] seed = -1: must be at least 0 and below 9.22337e+18"),
-    ("seed = 1", 'path.kind = "a"', '[twin.path] kind = "a": must be one of "still", "circle", "raster" or "random"'),
+    (
+        "seed = 1",
+        'path.kind = "a"',
+        '[twin.path] kind = "a": must be one of "still", "circle", "raster", "random" or "external"',
+    ),
     ("seed = 1", "error.lefft.d_mm = 1", "[twin.error.lefft]: the cell has no lefft (did you mean left?)"),
     ("seed = 1", "error.left.dd_mm = 1", "[twin.error.left] dd_mm = 1: unknown key (did you mean d_mm?)"),
     ("radius_mm = 4.0", "", "[probe] radius_mm: is missing and has no default"),

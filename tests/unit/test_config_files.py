@@ -35,7 +35,7 @@ def load(name: str, overrides: list[str] | None = None) -> CellConfig:
 
 
 def test_every_file_in_the_folder_is_tested_here() -> None:
-    known = {"cell.toml", "demo.toml", "emulated.toml", "demo-calibration.toml"}
+    known = {"cell.toml", "demo.toml", "emulated.toml", "demo-calibration.toml", "budget.toml"}
     assert {path.name for path in CONFIG.iterdir() if path.is_file()} == known
 
 

@@ -15,7 +15,6 @@ from trackerd.contract.model import AxisAngles, AxisMode, Frame, GimbalInfo, NoA
 from trackerd.engine.axes import Axes, AxesState
 from trackerd.engine.latched import RecordingTime
 from trackerd.formats.settings import GimbalSettings
-from trackerd.service import axes_link
 from trackerd.service.axes_link import FAREWELL_CYCLES, LATCH_CYCLES, OUT_OF_STEP_FRAMES, ZERO_CYCLES, AxesLink
 
 SETTINGS = GimbalSettings(driver="memory", camera="left", cycle_ms=1.0, stale_ms=20.0)
@@ -297,7 +296,7 @@ async def test_a_defect_in_the_loop_says_farewell_and_is_not_hidden(monkeypatch:
         def defect(_: object) -> None:
             raise ZeroDivisionError
 
-        monkeypatch.setattr(axes_link.Axes, "reported", defect)
+        monkeypatch.setattr(Axes, "reported", defect)
         with pytest.raises(TypeError):
             await bench.task
         assert_held(bench, since)

@@ -5,6 +5,7 @@ import json
 import socket
 from collections.abc import AsyncIterator, Iterator
 from contextlib import closing, contextmanager
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,7 @@ from trackerd.contract.clock import HostNs, ManualClock
 from trackerd.contract.errors import ConfigError
 from trackerd.contract.model import Fix, FixState, Source
 from trackerd.formats import wire
+from trackerd.formats.calibration import Calibration, Verification
 from trackerd.formats.settings import ZenohSettings
 from trackerd.service.commands import Commands
 from trackerd.service.outlet import Outlet
@@ -204,12 +206,16 @@ FIX = Fix(
     received=HostNs(1_008 * MS),
 )
 
+EXPIRES = datetime.fromtimestamp(1_700_000_001, UTC) + timedelta(milliseconds=30)
+CHECKED = Verification("2023-11-01", points=12, rms_mm=0.04, max_mm=0.09, en_max=0.8, expires=EXPIRES.isoformat())
+CALIBRATION = Calibration("c-7", "2023-11-01", "trackerd 0.1.0", "bundle", {}, verification=CHECKED)
+
 
 @pytest.fixture
 def outlet(link: ZenohLink) -> Outlet:
     """10 ms after the exposure."""
     clock = ManualClock(HostNs(1_010 * MS))
-    return Outlet(link, clock, Source.LIVE, "demo-1", VALID_NS, lambda: {"cell": "demo"})
+    return Outlet(link, clock, Source.LIVE, CALIBRATION, VALID_NS, lambda: {"cell": "demo"})
 
 
 async def test_the_last_position_is_answered_with_the_age_and_validity_of_now(outlet: Outlet) -> None:
@@ -238,6 +244,19 @@ async def test_no_fix_is_valid_while_another_publisher_is_alive(outlet: Outlet) 
 async def test_the_status_says_its_schema_its_source_and_what_was_gathered(outlet: Outlet) -> None:
     found = outlet.answer_status({})
     assert (found["schema"], found["source"], found["cell"]) == (wire.STATUS_SCHEMA, "live", "demo")
+
+
+async def test_a_calibration_that_expires_while_the_cell_runs_is_told_in_every_message_from_then_on(outlet: Outlet) -> None:
+    good = {"id": "c-7", "forced": False, "verified": True, "expired": False, "notes": []}
+    old = {**good, "verified": False, "expired": True, "notes": [f"expired: {EXPIRES.isoformat()}"]}
+    outlet.fix(FIX)
+    assert outlet.last is not None
+    assert outlet.last["calibration"] == outlet.answer_status({})["calibration"] == good
+    outlet.clock.advance(0.020)  # type: ignore[attr-defined]
+    assert outlet.answer_position({})["calibration"] == outlet.answer_status({})["calibration"] == old
+    assert outlet.answer_position({})["valid"]
+    outlet.fix(FIX)
+    assert (outlet.last["calibration"], outlet.last["valid"]) == (old, True)
 
 
 async def test_position_and_status_can_be_asked_for(outlet: Outlet, settings: ZenohSettings) -> None:

@@ -60,3 +60,30 @@ def test_the_same_seed_walks_the_same_random_path_and_another_does_not():
     here = ProbePath(settings, seed=5).at(3 * SECOND)[0]
     np.testing.assert_array_equal(here, ProbePath(settings, seed=5).at(3 * SECOND)[0])
     assert np.linalg.norm(here - ProbePath(settings, seed=6).at(3 * SECOND)[0]) > 1.0
+
+
+def test_an_external_path_goes_where_it_is_told_from_rest_to_rest():
+    path = ProbePath(PathSettings(kind="external", centre_mm=(0.0, 0.0, 10.0), dwell_s=6.0))
+    np.testing.assert_array_equal(path.at(9 * SECOND)[0], (0.0, 0.0, 10.0))
+    there_ns = path.go(9 * SECOND, np.array((30.0, 40.0, 10.0)))
+    p, v, a = path.at(there_ns)
+    np.testing.assert_allclose(p, (30.0, 40.0, 10.0), atol=1e-9)
+    np.testing.assert_allclose((v, a), np.zeros((2, 3)), atol=1e-3)
+    np.testing.assert_array_equal(path.at(9 * SECOND)[0], (0.0, 0.0, 10.0))
+    middle, v, _ = path.at((9 * SECOND + there_ns) // 2)
+    np.testing.assert_allclose(middle, (15.0, 20.0, 10.0), atol=1e-6)
+    assert 0.0 < np.linalg.norm(v) <= 250.0
+
+
+def test_an_external_path_finishes_what_it_has_begun_first():
+    path = ProbePath(PathSettings(kind="external"))
+    first_ns = path.go(0, np.array((50.0, 0.0, 0.0)))
+    second_ns = path.go(first_ns // 2, np.array((50.0, 50.0, 0.0)))
+    np.testing.assert_allclose(path.at(first_ns)[0], (50.0, 0.0, 0.0), atol=1e-6)
+    np.testing.assert_allclose(path.at(second_ns)[0], (50.0, 50.0, 0.0), atol=1e-6)
+    assert path.go(second_ns, np.array((50.0, 50.0, 0.0))) == second_ns
+
+
+def test_other_paths_are_not_moved_by_requests():
+    with pytest.raises(ValueError, match="only an external path"):
+        ProbePath(PathSettings(kind="circle")).go(0, np.zeros(3))

@@ -1,7 +1,7 @@
 import cv2
 import numpy as np
 import pytest
-from sim_cell import PLAIN, RADIUS_MM, camera, station
+from sim_cell import PLAIN, RADIUS_MM, camera, scene, station
 
 from trackerd.formats.twin import LookSettings
 from trackerd.geometry.rigid import Rigid, rotation_about_y
@@ -141,3 +141,12 @@ def test_the_same_seed_and_frame_give_the_same_image_in_the_buffer_given():
     assert renderer(texture_dn=2.0).render([POSE], [p_world], 3, out) is out
     np.testing.assert_array_equal(out, renderer(texture_dn=2.0).render([POSE], [p_world], 3))
     assert (out != renderer(texture_dn=2.0).render([POSE], [p_world], 4)).any()
+
+
+def test_a_ball_far_beside_the_view_is_not_folded_back_into_it_by_the_distortion():
+    one = scene(camera=PLAIN)
+    renderer = one.renderer("left")
+    az, el = one.start_angles("left")
+    for off_rad in np.linspace(0.1, 1.7, 80):
+        pose = one.gimbals["left"].station.world_from_camera(az, el + off_rad)
+        assert renderer.render((pose,), (np.zeros(3),), 0).max() < 100

@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 from trackerd.contract.clock import HostNs, ManualClock
 from trackerd.contract.model import AxisMode, Fix, FixState, GimbalFlag, Source
 from trackerd.formats import wire
+from trackerd.formats.calibration import Standing
 from trackerd.formats.settings import ZenohSettings
 from trackerd.formats.wire import (
     POSITION_SCHEMA,
@@ -59,8 +60,11 @@ NOWHERE = replace(
 )
 
 
-def message(fix: Fix = GOOD, after_ms: int = 14, source: Source = Source.LIVE) -> dict[str, Any]:
-    return fix_message(fix, ManualClock(HostNs(fix.instant + after_ms * MS)), UNTIL, source, "demo-1")
+VERIFIED = Standing("demo-1", forced=False, verified=True, expired=False, notes=())
+
+
+def message(fix: Fix = GOOD, after_ms: int = 14, source: Source = Source.LIVE, standing: Standing = VERIFIED) -> dict[str, Any]:
+    return fix_message(fix, ManualClock(HostNs(fix.instant + after_ms * MS)), UNTIL, source, standing)
 
 
 def test_a_live_cell_uses_the_configured_key() -> None:
@@ -116,6 +120,24 @@ def test_a_position_says_when_it_was_where() -> None:
 @pytest.mark.parametrize("source", Source)
 def test_every_position_says_its_source(source: Source) -> None:
     assert message(source=source)["source"] == source.value
+
+
+def test_every_position_says_how_far_its_calibration_may_be_trusted_and_stays_valid() -> None:
+    doubtful = Standing("c-7", forced=True, verified=False, expired=True, notes=("forced: haste", "expired: 2025-06-01"))
+    for fix in (GOOD, NOWHERE):
+        found = decode(encode(message(fix, standing=doubtful)))
+        assert (found["calibration_id"], found["calibration"]) == (
+            "c-7",
+            {
+                "id": "c-7",
+                "forced": True,
+                "verified": False,
+                "expired": True,
+                "notes": ["forced: haste", "expired: 2025-06-01"],
+            },
+        )
+    assert message(standing=doubtful)["valid"]
+    assert message()["calibration"] == {"id": "demo-1", "forced": False, "verified": True, "expired": False, "notes": []}
 
 
 def test_a_fix_with_reasons_is_not_valid() -> None:

@@ -6,6 +6,8 @@ from pathlib import Path
 from typing import TypeAlias
 
 from trackerd.cli.arguments import count
+from trackerd.cli.cell_parsers import add_capture, add_cell, add_plan
+from trackerd.cli.lens_parser import add_lens
 from trackerd.cli.statuses import DONE
 
 Commands: TypeAlias = "argparse._SubParsersAction[argparse.ArgumentParser]"
@@ -18,7 +20,7 @@ def add_calibrate(commands: Commands) -> Iterator[argparse.ArgumentParser]:
         help="measure what the cell's file says of its devices",
         description="Measures what the cell's file says of its devices, and prints the lines for it.",
     ).add_subparsers(title="what", metavar="WHAT", required=True)
-    for add in (_add_noise, _add_latency):
+    for add in (_add_noise, _add_latency, add_lens, add_plan, add_capture, add_cell):
         yield add(what)
 
 

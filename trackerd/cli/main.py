@@ -5,11 +5,15 @@ import os
 import signal
 import sys
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from itertools import chain
 from pathlib import Path
 
 from trackerd import __version__
-from trackerd.cli.arguments import circle, count, pixel, seconds
+from trackerd.cli.align_parser import add_align
+from trackerd.cli.arguments import circle, count, names, pixel, positive, seconds, whole
 from trackerd.cli.calibrate_parsers import add_calibrate
+from trackerd.cli.calibration_parsers import add_calibration
 from trackerd.cli.statuses import DONE, REFUSED, TO_MEND, WRONG_INPUT
 from trackerd.contract.errors import ConfigError, TrackerdError
 
@@ -73,9 +77,10 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--duration", type=seconds, metavar="S", help="stop S seconds after READY (default: run on)")
     parser.set_defaults(run=_serve, overrides=[], more_overrides=[], needs_config=True)
     commands = parser.add_subparsers(title="commands", metavar="COMMAND")
-    for add in (_add_check, _add_twin, _add_watch, _add_select, _add_arm, _add_inspect):
+    for add in (_add_check, _add_twin, _add_watch, _add_select, _add_arm, _add_inspect, _add_budget):
         _common(add(commands), argparse.SUPPRESS, "more_overrides")
-    for each in add_calibrate(commands):
+    _common(add_align(commands), argparse.SUPPRESS, "more_overrides")
+    for each in chain(add_calibrate(commands), add_calibration(commands)):
         _common(each, argparse.SUPPRESS, "more_overrides")
     return parser
 
@@ -182,6 +187,27 @@ def _add_inspect(commands: "argparse._SubParsersAction[argparse.ArgumentParser]"
     return parser
 
 
+def _add_budget(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> argparse.ArgumentParser:
+    parser = commands.add_parser(
+        "budget",
+        help="what limits a cell: a Monte-Carlo of layouts and noise, or the shares of a cell of your own",
+        description="Simulates the cases and layouts of FILE (see config/budget.toml; without it, those of the source thesis)"
+        " and prints Tables 4.1 to 4.7 with four columns a value: thesis, its method reproduced, bundle adjustment, Cramér-Rao"
+        " bound. With --cell it tells instead what pixels, encoders and calibration add to the uncertainty of a target there.",
+    )
+    parser.add_argument("file", nargs="?", type=Path, metavar="FILE", help="cases, layouts, noise and volume: TOML")
+    parser.add_argument("--cell", dest="config", type=Path, metavar="CELL", default=argparse.SUPPRESS, help="your cell's file")
+    parser.add_argument("--out", type=Path, metavar="DIR", help="write tables (CSV, JSON, HTML) and pictures into DIR")
+    parser.add_argument("--trials", type=count, metavar="N", help="of each case in each layout (default: FILE's)")
+    parser.add_argument("--seed", type=whole, metavar="N", help="of the noise (default: FILE's)")
+    parser.add_argument("--workers", type=count, metavar="N", help="processes (default: one a core); the result is the same")
+    parser.add_argument("--cases", type=names, metavar="A,B", default=(), help="these cases only")
+    parser.add_argument("--layouts", type=names, metavar="A,B", default=(), help="these layouts only")
+    parser.add_argument("--pixel-sigma", type=positive, metavar="PX", help="with --cell: of the ball's centre in one picture")
+    parser.set_defaults(run=_budget, needs_config=False)
+    return parser
+
+
 def _serve(options: argparse.Namespace) -> int:
     from trackerd.cli.run import serve
 
@@ -205,11 +231,19 @@ def _twin(options: argparse.Namespace) -> int:
 def _watch(options: argparse.Namespace) -> int:
     from trackerd.cli.watch import watch
 
-    try:
+    with _until_the_reader_leaves():
         return watch(options.config, options.overrides, options.duration, options.plain)
-    except BrokenPipeError:  # who reads our output has seen enough
+    return DONE
+
+
+@contextmanager
+def _until_the_reader_leaves() -> Iterator[None]:
+    """Who reads our output has seen enough."""
+    try:
+        yield
+        sys.stdout.flush()
+    except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return DONE
 
 
 def _select(options: argparse.Namespace) -> int:
@@ -245,3 +279,13 @@ def _inspect_live(options: argparse.Namespace) -> bool:
         raise ConfigError("inspect --live: needs --config FILE, the cell that has the camera")
     wanted = {key: getattr(options, key) for key in ("config", "camera", "overrides", "guess", "frames", "plain")}
     return live(LiveRequest(**wanted, duration_s=options.duration))
+
+
+def _budget(options: argparse.Namespace) -> int:
+    from trackerd.cli.budget import BudgetRequest, budget
+
+    keys = ("file", "out", "trials", "seed", "workers", "cases", "layouts", "overrides")
+    wanted = {key: getattr(options, key) for key in keys}
+    with _until_the_reader_leaves():
+        budget(BudgetRequest(**wanted, cell=options.config, pixel_sigma_px=options.pixel_sigma))
+    return DONE

@@ -80,6 +80,8 @@ class View:
         rows.append(
             ("source", f"{m['source']}, calibration {m['calibration_id']}, stations {', '.join(m['stations']) or 'none'}")
         )
+        if notes := m.get("calibration", {}).get("notes"):  # who publishes may be older than this
+            rows.append(("calibration", "; ".join(notes)))
         rows.append(("reasons", "; ".join(m["reasons"]) or "-"))
         return rows
 
