@@ -31,8 +31,9 @@ from trackerd.vision.others import Place
 from trackerd.vision.rays import REACH_PX, Circle
 from trackerd.vision.tracker import BoxTracker
 
-SAME_RADIUS = 0.15  # an outline whose radius differs by more is another thing, while the target is followed,
-LOST_RADIUS = 0.6  # and after it was lost: it may come back at another range
+NEXT_RADIUS, RADIUS_A_FRAME = 0.05, 0.03  # an outline whose radius differs by more from one frame to the next is something
+SAME_RADIUS = 0.15  # else, or two things; so much at most while the target is followed,
+CHOSEN_RADIUS, LOST_RADIUS = 0.25, 0.6  # and after it was lost: it may come back at another range, less so one that was chosen
 GROWTH_PX = 4.0  # of the gate, for each frame missed
 GATE_RADII = 0.25  # from where it is expected: what is farther off is looked at together with all the rest
 WAITED_FRAMES = 40  # a target that is where it was expected, while the balls like it are seen elsewhere
@@ -122,7 +123,8 @@ class Acquisition:
             if self._look is not None and self._is_past_telling(self._look, self._lost):
                 return Missed("another ball may be the target: it has to be chosen again")
             if self._look is not None or self._bystanders.known:
-                return self._elsewhere(image, self._lost, LOST_RADIUS) or Missed(NOTHING)
+                growth = CHOSEN_RADIUS if self._chosen else LOST_RADIUS
+                return self._elsewhere(image, self._lost, growth) or Missed(NOTHING)
         if image.size > SMALL_IMAGE_PX and frame_id % 2:
             return Missed("a large image is searched in every second frame")
         return search(image, self._noise, self._radius_px, near_px, self._view)
@@ -178,7 +180,7 @@ class Acquisition:
             smallest, largest = self._radius_px
             return Missed(f"an outline of radius {outline.r_px:.1f} px is not admitted ({smallest:g} to {largest:g} px)")
         r = expected.circle[2]
-        if not same_size(outline.r_px, r, SAME_RADIUS):
+        if not same_size(outline.r_px, r, min(NEXT_RADIUS + RADIUS_A_FRAME * expected.missed, SAME_RADIUS)):
             return Missed(f"an outline of radius {outline.r_px:.1f} px is not the target's ({r:.1f} px)")
         if self._look is not None and not self._look.has_levels(outline):
             return Missed(

@@ -121,13 +121,17 @@ class Bystanders:
         return self._others.claim(outlines, target)
 
     def was_there(self, found: Found) -> bool:
-        """Whether a ball was about there already when the target was last seen: then it is another one. A guess sees more than
-        the search did."""
+        """Whether a ball was about there already when the target was last seen, that nobody knew of: then it is another one.
+
+        A guess sees more than the search did.
+        """
         if self._last is None:
             return False
         (image, circle), (dx, dy) = self._last, self._since_last
         seeds = _about((found.x_px - dx, found.y_px - dy, found.r_px), min(self._frames_since_last, MOST_RINGS))
-        if not outlines_at(image, self._noise, seeds, self._alike(circle), self._view, circle, self._limb):
+        then = outlines_at(image, self._noise, seeds, self._alike(circle), self._view, circle, self._limb)
+        known = [(other.x_px - dx, other.y_px - dy, other) for other in self._others.known]
+        if all(any(hypot(one.x_px - x, one.y_px - y) <= other.reach_px for x, y, other in known) for one in then):
             return False
         self._others.add([found])
         return True

@@ -68,7 +68,7 @@ class Other:
     def may_have_been(self, other: "Other") -> bool:
         """Whether one that is out of sight may be this one, seen again."""
         alike = same_size(self.look.r_px, other.look.r_px, ALIKE) and other.look.has_levels_of(self.look)
-        return alike and self.distance_px(other.x_px, other.y_px) <= self.look.r_px
+        return alike and self.distance_px(other.x_px, other.y_px) <= ITSELF_RADII * self.look.r_px
 
     def go_on(self, moved_px: tuple[float, float]) -> None:
         """One frame later; things at rest have moved by this much in the image."""
