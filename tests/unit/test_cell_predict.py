@@ -16,7 +16,6 @@ from trackerd.calibrate.cell import (
     measure,
     predict,
     reliability,
-    shift,
     verify,
 )
 from trackerd.calibrate.cell.predict import Prediction
@@ -176,20 +175,6 @@ def test_a_point_that_one_station_saw_is_not_measured() -> None:
     found = measure(seen, 2, stations, *NO_PARAMETERS)
     assert np.isfinite(found.p_mm[0]).all()
     assert np.isnan(found.p_mm[1]).all()
-
-
-def test_the_shift_of_a_new_calibration_is_how_it_moves_what_the_old_one_saw() -> None:
-    _, stations = made_cell()
-    p_mm = volume(np.random.default_rng(3), 5)
-    move = np.array((3.0, -2.0, 1.0))
-
-    def carried(s: Station) -> Station:
-        return replace(s, world_from_gimbal=Rigid(s.world_from_gimbal.rotation, s.world_from_gimbal.translation_mm + move))
-
-    assert np.allclose(shift(stations, {name: carried(s) for name, s in stations.items()}, p_mm), move, atol=1e-8)
-    assert np.allclose(shift(stations, stations, p_mm), 0.0, atol=1e-9)
-    with pytest.raises(ConfigError, match="are of other stations"):
-        shift(stations, {"left": stations["left"]}, p_mm)
 
 
 # ---- verification ----------------------------------------------------------------------------------------------------

@@ -15,7 +15,6 @@ from trackerd.cli import main
 from trackerd.contract.errors import ConfigError, TrackerdError
 from trackerd.contract.model import Found, Missed
 from trackerd.geometry.lens import Lens
-from trackerd.inspection import style
 from trackerd.inspection.advice import (
     Level,
     exposure_advice,
@@ -35,6 +34,7 @@ from trackerd.inspection.numbers import ellipse_95, examination_rows, scatter_ro
 from trackerd.inspection.repeatability import repeatability
 from trackerd.inspection.series import Sample, samples, shape, write_csv
 from trackerd.inspection.series_page import series_page
+from trackerd.pictures import look
 
 FOUND = Found(100.0, 80.0, 50.0, np.diag((4e-6, 9e-6, 1e-6)), 0.95, 1.0, 0.0, 0.9, 180.0, 60.0)
 EIGHT_BITS = Level(full_dn=255.0, bright_dn=0.0, sigma_dn=1.8)
@@ -376,7 +376,7 @@ def words(figure):
 def test_the_page_of_a_picture_shows_every_aspect_and_is_written_as_png_and_svg(tmp_path):
     figure = image_page(examine(replace(SMALL, stem=True).noisy(1), name="ball.png"))
     for ending in (".png", ".svg"):
-        style.save(figure, tmp_path / f"page{ending}")
+        look.save(figure, tmp_path / f"page{ending}")
     assert (tmp_path / "page.png").read_bytes().startswith(b"\x89PNG")
     assert "</svg>" in (tmp_path / "page.svg").read_text()
     assert titles(figure) >= {
@@ -400,7 +400,7 @@ def test_the_centre_is_drawn_100_times_as_large_as_a_pixel():
 
 def test_the_page_of_a_picture_without_a_ball_says_why(tmp_path):
     figure = image_page(examine(np.full((120, 160), 60, np.uint8), name="dark.png"))
-    style.save(figure, tmp_path / "page.png")
+    look.save(figure, tmp_path / "page.png")
     assert figure.get_suptitle() == "dark.png: no ball found"
     assert "none found" in words(figure)
 
@@ -408,7 +408,7 @@ def test_the_page_of_a_picture_without_a_ball_says_why(tmp_path):
 def test_the_page_of_a_series_marks_missed_frames_and_tells_the_allan_deviation(tmp_path, still):
     series = [*still, Sample("gone.png", 24_000, EMPTY, None)]
     figure = series_page("still", series, repeatability([sample.outline for sample in series]))
-    style.save(figure, tmp_path / "page.png")
+    look.save(figure, tmp_path / "page.png")
     assert "Allan deviation, 95 % interval" in titles(figure)
     assert any("found in 24, missed in 1" in word for word in words(figure))
     over_time = figure.axes[0]
@@ -418,14 +418,14 @@ def test_the_page_of_a_series_marks_missed_frames_and_tells_the_allan_deviation(
 def test_a_series_of_two_frames_apart_has_a_page_too(tmp_path, still):
     series = [still[0], Sample("gone.png", None, EMPTY, None), still[1]]
     figure = series_page("two", series, repeatability([sample.outline for sample in series]))
-    style.save(figure, tmp_path / "page.png")
+    look.save(figure, tmp_path / "page.png")
     assert "no two neighbouring frames with a ball" in words(figure)
 
 
 def test_a_page_that_cannot_be_written_is_an_error_with_its_path(tmp_path):
     figure = image_page(examine(np.full((120, 160), 60, np.uint8)))
     with pytest.raises(TrackerdError, match=r"nowhere/page\.png: cannot be written: No such file"):
-        style.save(figure, tmp_path / "nowhere" / "page.png")
+        look.save(figure, tmp_path / "nowhere" / "page.png")
 
 
 # ---- live ------------------------------------------------------------------------------------------------------------

@@ -11,13 +11,14 @@ from matplotlib.patches import Ellipse
 from matplotlib.ticker import FuncFormatter, MaxNLocator, NullFormatter
 from mpl_toolkits.mplot3d import Axes3D
 
-from trackerd.budget.look import ADJUSTED, BOUND, INK, METHOD, QUIET, THESIS
+from trackerd.budget.look import ADJUSTED, BOUND, METHOD, THESIS
 from trackerd.budget.scene import NAMES, Frame, draw_cell, draw_ellipsoids, draw_stems, frame_of, magnification, set_up
 from trackerd.budget.settings import BudgetSettings, Case
 from trackerd.budget.stage import Stage
 from trackerd.budget.summary import Row
 from trackerd.budget.trials import CaseRun
 from trackerd.contract.model import Array
+from trackerd.pictures.look import INK, QUIET
 
 VIEW: Any = {"elev": 22, "azim": -62}
 CHI_95_2D = 2.4477  # radius in sigmas of the ellipse that holds 95 % of a plane's normal errors

@@ -10,7 +10,7 @@ import numpy as np
 from trackerd.budget.charts import LEAST_MM, PANEL_IN, cloud_picture, layout_picture, overview, telling_cases
 from trackerd.budget.contributions import Contributions
 from trackerd.budget.layout_shares import Share
-from trackerd.budget.look import page, save
+from trackerd.budget.look import page
 from trackerd.budget.settings import BudgetSettings, Volume
 from trackerd.budget.stage import make_stage
 from trackerd.budget.summary import Efficiency, Row
@@ -28,6 +28,7 @@ from trackerd.budget.trials import CaseRun
 from trackerd.budget.volume_chart import volume_picture
 from trackerd.contract.errors import TrackerdError
 from trackerd.geometry.gimbal import Station
+from trackerd.pictures.look import save
 
 CLOUD_WORDS = "simulated; green: 95 % by the Cramér-Rao bound. Mind the scales."
 CAUSE_KEYS = ("pixel", "encoder_white", "encoder_fixed", "calibration")  # of CAUSES, as columns

@@ -10,10 +10,10 @@ from matplotlib.ticker import MaxNLocator
 from mpl_toolkits.mplot3d import Axes3D
 from mpl_toolkits.mplot3d.art3d import Line3DCollection, Poly3DCollection
 
-from trackerd.budget.look import GIMBALS, INK, QUIET
 from trackerd.contract.model import Array
 from trackerd.geometry.gimbal import Station
 from trackerd.geometry.rigid import Rigid
+from trackerd.pictures.look import INK, QUIET, STATIONS
 
 BODY_SHARE = 0.09  # size of a camera, of the scene
 ELLIPSOID_SHARE = 0.22  # longest axis of the largest ellipsoid, of the scene
@@ -52,8 +52,8 @@ def draw_cell(axes: Axes3D, stations: Mapping[str, Station], p_mm: Array, aim_mm
     set_up(axes, everything, frame, 0.10 * size_mm)
     floor_mm = axes.get_zlim()[0]
     for n, (name, station) in enumerate(stations.items()):
-        _camera(axes, frame, poses[name], station, aim_mm, BODY_SHARE * size_mm, GIMBALS[n % len(GIMBALS)])
-        _base(axes, frame, name, station, poses[name], floor_mm, BODY_SHARE * size_mm, GIMBALS[n % len(GIMBALS)])
+        _camera(axes, frame, poses[name], station, aim_mm, BODY_SHARE * size_mm, STATIONS[n % len(STATIONS)])
+        _base(axes, frame, name, station, poses[name], floor_mm, BODY_SHARE * size_mm, STATIONS[n % len(STATIONS)])
     if dots:
         draw_points(axes, frame(p_mm), floor_mm)
 

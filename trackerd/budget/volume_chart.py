@@ -15,11 +15,11 @@ from mpl_toolkits.mplot3d.art3d import Line3DCollection
 
 from trackerd.budget.contributions import CAUSES, Contributions, u_across_mm, u_depth_mm
 from trackerd.budget.look import CAUSES as COLOURS
-from trackerd.budget.look import HEAT, QUIET
 from trackerd.budget.scene import NAMES, Frame, box_edges, draw_cell, draw_ellipsoids, frame_of, magnification, set_up
 from trackerd.budget.settings import Volume
 from trackerd.contract.model import Array
 from trackerd.geometry.gimbal import Station
+from trackerd.pictures.look import HEAT, QUIET
 
 VIEW: Any = {"elev": 22, "azim": -62}
 

@@ -11,9 +11,10 @@ from trackerd.calibrate.cell.result import CellResult
 from trackerd.calibrate.cell_data import CellData
 from trackerd.calibrate.cell_view import draw_cell, draw_ellipsoids, draw_points, scene_mm
 from trackerd.calibrate.cell_worth import Worth
-from trackerd.calibrate.figures import BAD, BOTH_WAYS, COLOURS, INK, QUIET, picture
+from trackerd.calibrate.figures import picture
 from trackerd.calibrate.volume_map import draw_slices
 from trackerd.contract.model import Array
+from trackerd.pictures.look import BOTH_WAYS, INK, QUIET, RED, STATIONS
 
 ARCSEC = 206264.80624709636
 ARROWS = 400  # of residuals: more only blacken the page
@@ -31,7 +32,7 @@ def cell_picture(result: CellResult, worth: Worth) -> Figure:
     known = np.trace(covs, axis1=1, axis2=2) > 0.0
     words = "places held"
     if known.any():
-        words = f"places' 1-sigma ellipsoids, × {draw_ellipsoids(whole, places[known], covs[known], COLOURS, scene):.0f}"
+        words = f"places' 1-sigma ellipsoids, × {draw_ellipsoids(whole, places[known], covs[known], STATIONS, scene):.0f}"
     whole.set_title(f"the cell; {words}")
     _volume_picture(near, result, worth)
     return figure
@@ -46,9 +47,9 @@ def _volume_picture(axes: Any, result: CellResult, worth: Worth) -> None:
     seen = result.points_mm[np.isfinite(result.points_mm).all(axis=1)]
     draw_points(axes, seen[:: max(1, len(seen) // ARROWS)], QUIET, "points of the adjustment")
     if worth.checked is not None:
-        draw_points(axes, worth.checked.p_mm, BAD, "check points", "^")
+        draw_points(axes, worth.checked.p_mm, RED, "check points", "^")
     scene = float(worth.box.size_mm.max())
-    magnified = draw_ellipsoids(axes, grid[chosen], worth.prediction.total_mm2[chosen], COLOURS[2:3], scene)
+    magnified = draw_ellipsoids(axes, grid[chosen], worth.prediction.total_mm2[chosen], STATIONS[2:3], scene)
     axes.set_title(f"targets in one frame: 1-sigma ellipsoids, × {magnified:.0f}")
     axes.legend(loc="upper left")
 
@@ -78,12 +79,12 @@ def residual_picture(data: CellData, result: CellResult, gimbal: str) -> Figure:
     index = o.gimbals.index(gimbal)
     mine = o.gimbal[o.view] == index
     used, left_out = mine & residuals.used, mine & ~residuals.used
-    colour = COLOURS[index % len(COLOURS)]
+    colour = STATIONS[index % len(STATIONS)]
     figure = picture(12.0, 6.4, gimbal)
     top, bottom = figure.subplots(2, 3)
     _field(top[0], o.q_px[used], residuals.px[used], result.stations[gimbal].lens.sensor_px, colour)
     if left_out.any():
-        top[0].plot(*o.q_px[left_out].T, "x", color=BAD, markersize=5, label=f"{int(left_out.sum())} left out")
+        top[0].plot(*o.q_px[left_out].T, "x", color=RED, markersize=5, label=f"{int(left_out.sum())} left out")
         top[0].legend(loc="upper right")
     _histogram(top[1], residuals.whitened[used].ravel(), colour)
     angles = np.degrees(o.angles_rad[o.view[used]])
@@ -167,13 +168,13 @@ def check_picture(worth: Worth) -> Figure | None:
     figure = picture(9.0, 3.4)
     errors, en = figure.subplots(1, 2, width_ratios=(2.0, 1.0))
     places = np.arange(len(checked.en))
-    for axis, (name, colour) in enumerate(zip("xyz", COLOURS, strict=False)):
+    for axis, (name, colour) in enumerate(zip("xyz", STATIONS, strict=False)):
         errors.plot(places + 0.15 * (axis - 1), 1e3 * checked.error_mm[:, axis], "o", color=colour, label=name, markersize=4)
     errors.axhline(0.0, color=QUIET, linewidth=0.8)
     errors.set_xticks(places, worth.checked.names, rotation=60, fontsize=7)
     errors.set(ylabel="measured − reference  µm", title=f"check points: {1e3 * checked.rms_mm:.1f} µm rms (3D)")
     errors.legend(loc="upper right", ncols=3)
-    en.bar(places, checked.en, color=[COLOURS[2] if value <= 1.0 else BAD for value in checked.en])
+    en.bar(places, checked.en, color=[STATIONS[2] if value <= 1.0 else RED for value in checked.en])
     en.axhline(1.0, color=INK, linewidth=1.0)
     en.set_xticks(places, worth.checked.names, rotation=60, fontsize=7)
     en.set(title="normalised error En (limit 1)")

@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 from mpl_toolkits.mplot3d.art3d import Line3DCollection, Poly3DCollection
 
-from trackerd.calibrate.figures import COLOURS, INK, QUIET
 from trackerd.calibrate.plan.volume import Box
 from trackerd.contract.model import Array
 from trackerd.geometry.gimbal import Station
+from trackerd.pictures.look import INK, QUIET, STATIONS
 
 LARGEST_SHARE = 0.12  # of the scene: the longest axis of the largest ellipsoid that is drawn
 NICE = (1.0, 2.0, 5.0)
@@ -19,7 +19,7 @@ NICE = (1.0, 2.0, 5.0)
 def draw_cell(axes: Any, stations: Mapping[str, Station], box: Box, elevation: float = 22.0) -> None:
     """Stations with their axes, lines of view to the middle of the volume, the volume. `axes` is a 3D one."""
     middle = box.centre_mm
-    for colour, (name, station) in zip(COLOURS, stations.items(), strict=False):
+    for colour, (name, station) in zip(STATIONS, stations.items(), strict=False):
         place = station.world_from_gimbal.translation_mm
         _line(axes, place, middle, color=colour, linewidth=0.9, linestyle=(0, (6, 4)))
         axes.scatter(*_drawn(place), color=colour, s=34, depthshade=False)

@@ -6,9 +6,9 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure, SubFigure
 
-from trackerd.calibrate.figures import HEAT, INK
 from trackerd.calibrate.plan.volume import Box
 from trackerd.contract.model import Array
+from trackerd.pictures.look import HEAT, INK
 
 SLICES = (0.0, 0.5, 1.0)  # of the depth
 WORDS = ("near", "middle", "far")

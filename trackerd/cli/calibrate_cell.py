@@ -1,14 +1,11 @@
 """`trackerd calibrate cell`: the joint adjustment of all gimbals from a dataset."""
 
 import sys
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
-from rich.console import Console
-from rich.table import Table
 
 from trackerd.calibrate.board_views import board_points, find_board
 from trackerd.calibrate.cell import CellResult, Group, Held, Options, Priors, calibrate_cell
@@ -20,6 +17,7 @@ from trackerd.calibrate.cell_worth import RELIABILITY_STEPS, Worth, worth
 from trackerd.calibrate.plan.volume import Box
 from trackerd.calibrate.shift import shift_between
 from trackerd.calibrate.thesis import by_thesis
+from trackerd.cli.telling import print_rows
 from trackerd.contract.errors import ConfigError, TrackerdError, Undetermined
 from trackerd.formats.atomic import write_atomically
 from trackerd.formats.calibration import Calibration, load_calibration, save_calibration
@@ -58,7 +56,7 @@ def cell(request: CellRequest) -> None:
     for line in data.left_out:
         print(f"note: left out: {line}", file=sys.stderr)
     if request.method == "thesis":
-        _print("the thesis's method", thesis_rows(by_thesis(data)))
+        print_rows("the thesis's method", thesis_rows(by_thesis(data)))
         return
     data = replace(data, nominal=_nominal(request, data.nominal, parent))
     result = calibrate_cell(data.observations, data.targets, data.nominal, _options(request, dataset, data, parent))
@@ -75,7 +73,7 @@ def _finish(request: CellRequest, dataset: Dataset, data: CellData, result: Cell
     rows = summary(dataset, data, result, found, calibration)
     if parent is not None:
         rows += _shift_rows(parent, result, found)
-    _print(calibration.id, rows)
+    print_rows(calibration.id, rows)
     for warning in result.warnings:
         print(f"note: {warning}", file=sys.stderr)
     page = request.report or request.output.with_suffix(".html")
@@ -157,16 +155,3 @@ def _free(request: CellRequest, data: CellData, parent: Calibration | None) -> d
         if name not in data.nominal:
             raise ConfigError(f"--only {name}: the dataset has no gimbal of this name{nearest(name, list(data.nominal))}")
     return {name: frozenset(map(Group, request.free or Group)) for name in names}
-
-
-def _print(title: str, rows: Sequence[tuple[str, str]]) -> None:
-    """A table on a terminal, plain lines elsewhere."""
-    console = Console()
-    if not console.is_terminal:
-        for name, words in rows:
-            print(f"{name}: {words}")
-        return
-    table = Table(title=title, show_header=False, title_justify="left")
-    for row in rows:
-        table.add_row(*row)
-    console.print(table)

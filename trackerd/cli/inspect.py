@@ -21,7 +21,8 @@ from trackerd.inspection.numbers import SCATTER_COLUMNS, Rows, examination_rows,
 from trackerd.inspection.repeatability import Repeatability, reasons, repeatability
 from trackerd.inspection.series import Sample, samples, write_csv
 from trackerd.inspection.series_page import series_page
-from trackerd.inspection.style import ENDINGS, save
+from trackerd.inspection.style import ENDINGS
+from trackerd.pictures.look import save
 from trackerd.vision.rays import Circle
 from trackerd.wiring.cell import load
 

@@ -11,6 +11,7 @@ from trackerd.contract.model import Found, Image
 from trackerd.inspection import style
 from trackerd.inspection.examine import Edges, Examination, Profile, profile
 from trackerd.inspection.numbers import ellipse_95
+from trackerd.pictures.look import INK, QUIET
 from trackerd.vision.convergence import CircleFit
 
 AROUND_RADII = 1.45  # of the close-up
@@ -62,13 +63,13 @@ def radial_profile(axes: Axes, examination: Examination) -> None:
     assert found is not None
     assert seen is not None
     every = max(len(seen.level_dn) // FEW_DOTS, 1)
-    for kept, colour, words in ((True, style.QUIET, "pixels"), (False, style.REJECTED, "pixels of rejected sectors")):
+    for kept, colour, words in ((True, QUIET, "pixels"), (False, style.REJECTED, "pixels of rejected sectors")):
         which = np.flatnonzero(seen.kept == kept)[::every]
         if len(which):
             axes.plot(seen.distance_px[which], seen.level_dn[which], ".", color=colour, markersize=2.5, alpha=0.5, label=words)
     label = f"fitted edge, σ {found.blur_px:.2f} px" + (", without the rim's shading" if seen.shaded else "")
     axes.plot(seen.edge_distance_px, seen.edge_dn, color=style.FITTED, linewidth=1.6, label=label)
-    axes.axvline(0.0, color=style.INK, linewidth=0.6)
+    axes.axvline(0.0, color=INK, linewidth=0.6)
     axes.set_xlim(float(seen.distance_px.min()) - 0.5, float(seen.distance_px.max()) + 0.5)
     _clip_line(axes, examination, seen)
     axes.set(xlabel="distance from the outline, px (outwards)", ylabel="grey value, DN")
@@ -89,7 +90,7 @@ def magnified(axes: Axes, examination: Examination, found: Found) -> None:
     axes.plot(x, y, "+", color=style.FITTED, markersize=16, markeredgewidth=1.6)
     _add_ellipse(axes, found)
     axes.set_title("Centre on the pixel grid, 100×")
-    axes.text(0.02, 0.02, f"pixel ({round(x)}, {round(y)})", transform=axes.transAxes, fontsize=8, color=style.INK,
+    axes.text(0.02, 0.02, f"pixel ({round(x)}, {round(y)})", transform=axes.transAxes, fontsize=8, color=INK,
               bbox={"facecolor": "white", "alpha": 0.8, "linewidth": 0, "pad": 2})  # fmt: skip
     _ellipse_inset(axes, found)
 
@@ -102,8 +103,8 @@ def sector_offsets(axes: Axes, edge: Edges, fit: CircleFit) -> None:
     angle = np.degrees(edge.angle_rad)
     limit = factor * max(5.0 * spread, 4.0 * float(np.median(edge.sigma_px[kept])) if kept.any() else 1.0)
     axes.axhline(0.0, color=style.FITTED, linewidth=1.0)
-    axes.errorbar(angle[kept], factor * offset[kept], factor * edge.sigma_px[kept], fmt="o", color=style.INK, markersize=3,
-                  elinewidth=0.8, ecolor=style.QUIET)  # fmt: skip
+    axes.errorbar(angle[kept], factor * offset[kept], factor * edge.sigma_px[kept], fmt="o", color=INK, markersize=3,
+                  elinewidth=0.8, ecolor=QUIET)  # fmt: skip
     inside = np.clip(factor * offset[~kept], -0.94 * limit, 0.94 * limit)
     axes.plot(
         angle[~kept], inside, "x", color=style.REJECTED, markersize=5, label="rejected (those outside are drawn at the border)"
@@ -117,7 +118,7 @@ def sector_offsets(axes: Axes, edge: Edges, fit: CircleFit) -> None:
 def sector_chi2(axes: Axes, edge: Edges, fit: CircleFit) -> None:
     angle, chi2 = np.degrees(edge.angle_rad), fit.sectors.chi2
     axes.axhline(1.0, color=style.FITTED, linewidth=1.0)
-    axes.plot(angle[edge.kept], chi2[edge.kept], "o", color=style.INK, markersize=3)
+    axes.plot(angle[edge.kept], chi2[edge.kept], "o", color=INK, markersize=3)
     axes.plot(angle[~edge.kept], chi2[~edge.kept], "x", color=style.REJECTED, markersize=5)
     axes.set_yscale("log")
     style.plain_ticks(axes.yaxis)
@@ -185,7 +186,7 @@ def _ellipse_inset(axes: Axes, found: Found) -> None:
     _add_ellipse(inset, found)
     length = _round_length(long)
     left, bottom = found.x_px - 0.88 * half, found.y_px + 0.90 * half
-    inset.plot((left, left + length), (bottom, bottom), color=style.INK, linewidth=2.0)
+    inset.plot((left, left + length), (bottom, bottom), color=INK, linewidth=2.0)
     inset.text(left, bottom - 0.06 * half, f"{length:g} px", fontsize=8, va="bottom")
     inset.text(found.x_px, found.y_px - 0.92 * half, "95 %", fontsize=8, va="top", ha="center", color=style.INSIDE)
 

@@ -10,6 +10,7 @@ from trackerd.inspection.allan import Allan
 from trackerd.inspection.numbers import SCATTER_COLUMNS, Rows, scatter_rows, series_rows
 from trackerd.inspection.repeatability import Repeatability, Scatter, positions, stated_sigmas
 from trackerd.inspection.series import Sample, Shape, shape
+from trackerd.pictures.look import INK, QUIET
 
 SIZE_IN = (16.0, 13.5)
 COLOURS = {"x": style.X, "y": style.Y, "r": style.R}
@@ -41,7 +42,7 @@ def _over_time(axes: Axes, name: str, values: Array, sigmas: Array, scatter: Sca
     factor, unit = style.unit(scatter.peak_to_peak)
     frame, off = np.arange(len(values)), factor * (values - scatter.mean)
     band = STATED_BAND * factor * sigmas
-    axes.fill_between(frame, -band, band, color=style.QUIET, alpha=0.2, linewidth=0, label="±2σ as stated")
+    axes.fill_between(frame, -band, band, color=QUIET, alpha=0.2, linewidth=0, label="±2σ as stated")
     axes.plot(frame, off, ".", color=COLOURS[name], markersize=4 if len(values) < 300 else 2.5)
     if len(values) < 150:
         axes.plot(frame, off, color=COLOURS[name], linewidth=0.6, alpha=0.5)
@@ -75,7 +76,7 @@ def _histogram(axes: Axes, beside: Axes, name: str, values: Array, scatter: Scat
     along = np.linspace(low, high, 300)
     stated = factor * scatter.stated
     bell = np.exp(-0.5 * (along / stated) ** 2) / (stated * np.sqrt(2.0 * np.pi)) * len(off) * (bins[1] - bins[0])
-    axes.plot(bell, along, color=style.INK, linewidth=1.0, label="as stated")
+    axes.plot(bell, along, color=INK, linewidth=1.0, label="as stated")
     axes.set(xlim=(0.0, 1.15 * float(np.max(counts))), ylim=(low, high), yticklabels=())
     if name == "x":
         axes.legend(loc="lower right", bbox_to_anchor=(1.0, 0.98), borderpad=0.1)
@@ -96,7 +97,7 @@ def _allan(axes: Axes, result: Repeatability) -> None:
         _one_allan(axes, name, allan, factor)
     frames = np.array((1.0, longest))
     stated = factor * result.scatter["x"].stated
-    axes.plot(frames, stated / np.sqrt(frames), ":", color=style.INK, linewidth=1.2, label="white noise as stated (x)")
+    axes.plot(frames, stated / np.sqrt(frames), ":", color=INK, linewidth=1.2, label="white noise as stated (x)")
     axes.set(xscale="log", yscale="log", xlabel="frames averaged", ylabel=unit)
     style.plain_ticks(axes.xaxis, axes.yaxis)
     axes.legend(loc="best")
@@ -122,8 +123,8 @@ def _shape(axes: Axes, left_over: Shape | None) -> None:
     factor, unit = style.unit(float(np.nanpercentile(np.abs(left_over.offset_px), 95)))
     axes.axhline(0.0, color=style.FITTED, linewidth=1.0)
     angle = np.degrees(left_over.angle_rad)
-    axes.errorbar(angle, factor * left_over.offset_px, factor * left_over.sigma_px, fmt="o", color=style.INK, markersize=2.5,
-                  elinewidth=0.8, ecolor=style.QUIET)  # fmt: skip
+    axes.errorbar(angle, factor * left_over.offset_px, factor * left_over.sigma_px, fmt="o", color=INK, markersize=2.5,
+                  elinewidth=0.8, ecolor=QUIET)  # fmt: skip
     ticks = style.SECTOR_TICKS
     axes.set(xlim=(0, 360), xticks=ticks, xticklabels=[f"{tick}°" for tick in ticks], ylabel=f"offset, {unit}")
 
@@ -133,7 +134,7 @@ def _plane(axes: Axes, values: Array, result: Repeatability) -> None:
     x, y = result.scatter["x"], result.scatter["y"]
     factor, unit = style.unit(max(x.peak_to_peak, y.peak_to_peak))
     axes.plot(factor * (values[:, 0] - x.mean), factor * (values[:, 1] - y.mean), ".", color=style.X, markersize=3, alpha=0.6)
-    axes.plot(0.0, 0.0, "+", color=style.INK, markersize=9)
+    axes.plot(0.0, 0.0, "+", color=INK, markersize=9)
     axes.set_aspect("equal", adjustable="datalim")
     axes.invert_yaxis()
     axes.set(xlabel=f"x − mean, {unit}", ylabel=f"y − mean, {unit}")

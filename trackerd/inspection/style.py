@@ -1,9 +1,7 @@
-"""How every page looks: one set of colours (Okabe and Ito's, told apart by colour-blind people too), quiet axes, units."""
+"""What the pages of an inspection have in common: what each colour means, axes, ticks, images."""
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from pathlib import Path
-from typing import Any
 
 import matplotlib as mpl
 import numpy as np
@@ -12,58 +10,26 @@ from matplotlib.axis import Axis
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
-from trackerd.contract.errors import TrackerdError
 from trackerd.contract.model import Image
+from trackerd.pictures.look import BLUE, GREEN, LOOK, ORANGE, PURPLE, QUIET, RED, VERMILION
 
-FITTED, INSIDE, OUTSIDE, REJECTED = "#0072B2", "#D55E00", "#009E73", "#CC3311"
-X, Y, R = "#0072B2", "#E69F00", "#009E73"
-GUESS, QUIET, INK = "#CC79A7", "#8C8C8C", "#262626"
+FITTED, INSIDE, OUTSIDE, REJECTED = BLUE, VERMILION, GREEN, RED
+X, Y, R = BLUE, ORANGE, GREEN
+GUESS = PURPLE
 WEIGHTS = "viridis"
 ENDINGS = (".png", ".svg", ".pdf")
 PIXELS_AN_INCH = 100  # of a page; the 100 x magnified pixel has its name from it
 LINE_IN = 0.2  # from one line of a table to the next
 SECTOR_TICKS = (0, 90, 180, 270, 360)
 
-_LOOK: Any = {
-    "font.size": 9.0,
-    "axes.titlesize": 10.0,
-    "axes.titleweight": "bold",
-    "axes.titlelocation": "left",
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.edgecolor": QUIET,
-    "axes.labelcolor": INK,
-    "axes.grid": True,
-    "grid.color": "#E3E3E3",
-    "grid.linewidth": 0.6,
-    "axes.axisbelow": True,
-    "xtick.color": INK,
-    "ytick.color": INK,
-    "text.color": INK,
-    "legend.frameon": False,
-    "legend.fontsize": 8.0,
-    "svg.fonttype": "none",
-    "svg.hashsalt": "trackerd",  # equal pages are equal files
-}
-
 
 @contextmanager
 def page(size_in: tuple[float, float], title: str) -> Iterator[Figure]:
     """A figure to draw on, without pyplot: nothing is kept between pages."""
-    with mpl.rc_context(_LOOK):
+    with mpl.rc_context(LOOK):
         figure = Figure(figsize=size_in, dpi=PIXELS_AN_INCH, facecolor="white")
         figure.suptitle(title, x=0.02, y=0.985, ha="left", va="top", fontsize=13, fontweight="bold")
         yield figure
-
-
-def save(figure: Figure, path: Path) -> None:
-    """Raises TrackerdError where the file cannot be written."""
-    date: dict[str, Any] = {"metadata": {"Date": None}} if path.suffix == ".svg" else {}
-    try:
-        with mpl.rc_context(_LOOK):
-            figure.savefig(path, dpi=PIXELS_AN_INCH, **date)
-    except OSError as error:
-        raise TrackerdError(f"{path}: cannot be written: {error.strerror or error}") from error
 
 
 def show(axes: Axes, image: Image, least_dn: float, most_dn: float) -> None:

@@ -12,7 +12,7 @@ from trackerd.calibrate.cell.aiming import aim
 from trackerd.calibrate.cell.measure import Measured, measure
 from trackerd.calibrate.cell.observations import Observations, observations
 from trackerd.calibrate.cell.options import ARCSEC, Group, Held, Options, Priors
-from trackerd.calibrate.cell.predict import Prediction, predict, shift
+from trackerd.calibrate.cell.predict import Prediction, predict
 from trackerd.calibrate.cell.reliability import Reliability, Verification, reliability, verify
 from trackerd.calibrate.cell.result import BodyFound, CellResult, Rejected, Residuals
 from trackerd.calibrate.cell.solve import bound, calibrate_cell
@@ -47,7 +47,6 @@ __all__ = [
     "observations",
     "predict",
     "reliability",
-    "shift",
     "unknown_points",
     "verify",
     "with_bars",

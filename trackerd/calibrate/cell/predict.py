@@ -15,8 +15,6 @@ from trackerd.contract.errors import ConfigError, Degenerate
 from trackerd.contract.model import Array
 from trackerd.geometry.gimbal import Station
 
-SHIFT_STEPS = 4
-
 
 @dataclass(frozen=True, slots=True)
 class Prediction:
@@ -76,25 +74,6 @@ def predict(
         calibration_mm2=sensitivity @ covariance @ sensitivity.transpose(0, 2, 1),
         sensitivity=sensitivity,
     )
-
-
-def shift(before: Mapping[str, Station], after: Mapping[str, Station], p_mm: npt.ArrayLike) -> Array:
-    """How far targets (m, 3), seen by `before` at its principal points, seem to move when `after` is believed; (m, 3) in W.
-
-    What an operator looks at before a new calibration replaces an old one. Both must have the same stations.
-    """
-    if set(before) != set(after):
-        raise ConfigError(f"calibrations of {', '.join(before)} and of {', '.join(after)} are of other stations")
-    old = list(before.values())
-    p = np.asarray(p_mm, float).reshape(-1, 3)
-    angles = aim(old, np.tile(np.arange(len(old)), len(p)), np.repeat(p, len(old), axis=0)).reshape(len(p), len(old), 2)
-    new = [after[name] for name in before]
-    seen = fixes(old, p, 1.0, 0.0, angles).linear.q_px
-    moved = p.copy()
-    for _ in range(SHIFT_STEPS):
-        found = fixes(new, moved, 1.0, 0.0, angles)
-        moved += np.einsum("mij,mj->mi", found.gain, (seen - found.linear.q_px).reshape(len(p), -1))
-    return np.asarray(moved - p)
 
 
 def fixes(

@@ -6,10 +6,11 @@ from pathlib import Path
 import numpy as np
 
 from trackerd.calibrate.cell_view import draw_cell, draw_points, draw_tour
-from trackerd.calibrate.figures import BAD, INK, look, picture, save
+from trackerd.calibrate.figures import look, picture
 from trackerd.calibrate.plan.predicted import STEPS, Predicted
 from trackerd.calibrate.volume_map import draw_slices
 from trackerd.formats.looks import Errand
+from trackerd.pictures.look import INK, RED, save
 
 
 def draw(found: Predicted, planned: Sequence[Errand], title: str, path: Path) -> None:
@@ -23,7 +24,7 @@ def draw(found: Predicted, planned: Sequence[Errand], title: str, path: Path) ->
         draw_cell(near, {}, found.box)
         stops = [errand.stop for errand in planned]
         draw_tour(near, np.array([stop.p_mm for stop in stops]))
-        for check, colour, words, marker in ((False, INK, "stop", "o"), (True, BAD, "check point", "^")):
+        for check, colour, words, marker in ((False, INK, "stop", "o"), (True, RED, "check point", "^")):
             chosen = [stop.p_mm for stop in stops if stop.is_check is check]
             if chosen:
                 draw_points(near, np.array(chosen), colour, f"{len(chosen)} {words}s", marker)
