@@ -1,6 +1,7 @@
 """`trackerd calibrate cell`: the joint adjustment of all gimbals from a dataset."""
 
 import sys
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -17,6 +18,7 @@ from trackerd.calibrate.cell_worth import RELIABILITY_STEPS, Worth, worth
 from trackerd.calibrate.plan.volume import Box
 from trackerd.calibrate.shift import shift_between
 from trackerd.calibrate.thesis import by_thesis
+from trackerd.cli.recorded_cell import is_recording, recorded_dataset
 from trackerd.cli.telling import print_rows
 from trackerd.contract.errors import ConfigError, TrackerdError, Undetermined
 from trackerd.formats.atomic import write_atomically
@@ -43,6 +45,8 @@ class CellRequest:
     check_points: tuple[str, ...] | None = None
     method: str = "bundle"
     volume: tuple[tuple[float, ...], tuple[float, ...]] | None = None
+    config: Path | None = None  # of a recording: the cell that was recorded
+    overrides: Sequence[str] = ()
 
 
 def cell(request: CellRequest) -> None:
@@ -50,7 +54,7 @@ def cell(request: CellRequest) -> None:
 
     Raises ConfigError for what a person has to change, Undetermined where the data do not tell it, or chi-square refuses.
     """
-    dataset = read_dataset(request.dataset)
+    dataset = _dataset(request)
     parent = None if request.parent is None else load_calibration(request.parent)
     data = cell_data(dataset, find_board, board_points, request.check_points)
     for line in data.left_out:
@@ -61,6 +65,12 @@ def cell(request: CellRequest) -> None:
     data = replace(data, nominal=_nominal(request, data.nominal, parent))
     result = calibrate_cell(data.observations, data.targets, data.nominal, _options(request, dataset, data, parent))
     _finish(request, dataset, data, result, parent)
+
+
+def _dataset(request: CellRequest) -> Dataset:
+    if is_recording(request.dataset):
+        return recorded_dataset(request.dataset, request.config, request.overrides)
+    return read_dataset(request.dataset)
 
 
 def _finish(request: CellRequest, dataset: Dataset, data: CellData, result: CellResult, parent: Calibration | None) -> None:

@@ -103,10 +103,13 @@ def add_cell(what: "argparse._SubParsersAction[argparse.ArgumentParser]") -> arg
         help="where every gimbal is, how it turns and what its camera sees, from a dataset",
         description="The joint adjustment of all gimbals of a dataset: poses, axes, camera mounts and lenses, with their"
         " covariance. It starts without a guess, rejects outliers, and is refused above 1.5 chi-square per degree of freedom."
-        " Check points, outside the adjustment, verify it. Writes the calibration file and a report. Exit status 3 where"
-        " the data do not tell it, in words that say what would.",
+        " Check points, outside the adjustment, verify it. A recording needs --config, the cell that was recorded, and"
+        " truth.csv, the way of the probe. Writes the calibration file and a report. Exit status 3 where the data do not tell"
+        " it, in words that say what would.",
     )
-    parser.add_argument("dataset", type=Path, metavar="DATASET", help="a folder with dataset.toml and views.csv")
+    parser.add_argument(
+        "dataset", type=Path, metavar="DATASET", help="a folder with dataset.toml and views.csv, or a recording"
+    )
     parser.add_argument("--output", type=Path, metavar="FILE", required=True, help="the calibration file")
     parser.add_argument("--report", type=Path, metavar="FILE", help="the report (default: the output's name with .html)")
     parser.add_argument("--order", choices=("auto", "az_outer", "el_outer"), help="of the axes; auto: found, with the signs")
@@ -143,6 +146,9 @@ def signs(text: str) -> str:
 def _cell(options: argparse.Namespace) -> int:
     from trackerd.cli.calibrate_cell import CellRequest, cell
 
-    wanted = ("dataset", "output", "report", "order", "signs", "only", "free", "parent", "force", "check_points", "method")
+    wanted = (
+        "dataset", "output", "report", "order", "signs", "only", "free", "parent", "force", "check_points", "method", "config",
+        "overrides",
+    )  # fmt: skip
     cell(CellRequest(**{key: getattr(options, key) for key in wanted}, volume=options.volume))
     return DONE
