@@ -14,8 +14,8 @@ shows it: an equal ball that nobody had seen (it was behind something, or nearly
 the target is hidden.
 """
 
-from dataclasses import dataclass
-from math import hypot
+from dataclasses import dataclass, replace
+from math import hypot, inf
 
 from trackerd.contract.model import Found, Image, Missed, Outline
 from trackerd.formats.settings import TrackingSettings
@@ -33,9 +33,10 @@ from trackerd.vision.tracker import BoxTracker
 
 NEXT_RADIUS, RADIUS_A_FRAME = 0.05, 0.03  # an outline whose radius differs by more from one frame to the next is something
 SAME_RADIUS = 0.15  # else, or two things; so much at most while the target is followed,
-CHOSEN_RADIUS, LOST_RADIUS = 0.25, 0.6  # and after it was lost: it may come back at another range, less so one that was chosen
+CHOSEN_RADIUS, LOST_RADIUS = 0.15, 0.6  # and after it was lost: it may come back at another range, less so one that was chosen
 GROWTH_PX = 4.0  # of the gate, for each frame missed
 GATE_RADII = 0.25  # from where it is expected: what is farther off is looked at together with all the rest
+AT_REST, SLOWING = 0.03, 0.9  # of the radius, a frame; of the greatest speed, a frame later
 WAITED_FRAMES = 40  # a target that is where it was expected, while the balls like it are seen elsewhere
 FRESH_FRAMES = 3  # an expectation that was confirmed so few frames ago tells the target from a ball that may be another
 WIDEST_REACH = 0.5  # of the radius: the rays must start inside the outline
@@ -54,6 +55,12 @@ class Expected:
     circle: Circle
     missed: int
     last: Circle | None = None  # where it was when it was last seen: a prediction after a leap may be far off
+    px_a_frame: float = inf  # how fast it went when it was last seen
+
+    @property
+    def waited(self) -> bool:
+        """Whether it was at rest in the image when it was last seen."""
+        return self.px_a_frame <= AT_REST * self.circle[2]
 
     @property
     def reach_px(self) -> float:
@@ -88,6 +95,8 @@ class Acquisition:
         self._lost: Expected | None = None  # where it was expected when it was given up
         self._lost_frames = 0
         self._limb = LimbChoice()
+        self._px_a_frame = 0.0
+        self._before: tuple[float, float, int] | None = None  # where it was, among things at rest, and frames since then
         self._bystanders.forget(for_good=chosen)
         self._box.forget()
 
@@ -101,9 +110,12 @@ class Acquisition:
         if self._lens is not None and self._view is not None and self._view.origin_px != origin_px:
             self._view = View(self._lens, origin_px)
         self._bystanders.go_on(moved_px, self._view)
+        if self._before is not None:
+            x, y, frames = self._before
+            self._before = x + moved_px[0], y + moved_px[1], frames + 1
         if self._lost is not None:
             x, y, r = self._lost.circle
-            self._lost = Expected((x + moved_px[0], y + moved_px[1], r), self._lost.missed + 1)
+            self._lost = replace(self._lost, circle=(x + moved_px[0], y + moved_px[1], r), missed=self._lost.missed + 1)
 
     def at(self, image: Image, circle: Circle) -> Outline:
         """The outline at a guess (x, y, r): there, or else the nearest of about that radius."""
@@ -135,6 +147,7 @@ class Acquisition:
 
     def near(self, image: Image, expected: Expected) -> Outline:
         """The ball that is followed, by prediction, tracker or search, whichever is the first to have a plausible outline."""
+        expected = replace(expected, px_a_frame=self._px_a_frame)
         self._lost, self._lost_frames = expected, 0
         if expected.missed == 0:  # the prediction of a ball that was seen a frame ago is good to a pixel or so
             at_once = self._judged(refine(image, expected.circle, self._noise, self._view, self._limb), expected)
@@ -159,8 +172,16 @@ class Acquisition:
     def learn(self, image: Image, found: Found) -> None:
         """A verified outline of the target, to be remembered. `image` must stay as it is until the next one was looked at."""
         self._look = Look.of(found) if self._look is None else self._look.with_newer(found)
+        self._measure_speed(found)
         self._bystanders.watch(image, found, self._limb)
         self._box.start(image, (found.x_px, found.y_px, found.r_px))
+
+    def _measure_speed(self, found: Found) -> None:
+        """Against things at rest: the greatest of late, since what turns round stands still for a moment."""
+        if self._before is not None:
+            x, y, frames = self._before
+            self._px_a_frame = max(hypot(found.x_px - x, found.y_px - y) / max(frames, 1), SLOWING * self._px_a_frame)
+        self._before = found.x_px, found.y_px, 0
 
     def _at(self, image: Image, circle: Circle, expected: Expected) -> Outline:
         """The target's outline at a guess; what is found beyond the gate may be a bystander, and is left to the search."""
@@ -223,7 +244,7 @@ class Acquisition:
         if look is None or not self._bystanders.doubts(look) or (away_px <= r and expected.missed <= FRESH_FRAMES):
             return ""
         waits_there = Place(expected.circle, expected.missed).has(found) and expected.missed <= WAITED_FRAMES
-        return "" if waits_there and self._bystanders.sees_all(look) else cannot_be_told
+        return "" if expected.waited and waits_there and self._bystanders.sees_all(look) else cannot_be_told
 
     def _admits(self, found: Found) -> bool:
         return self._radius_px[0] <= found.r_px <= self._radius_px[1]

@@ -85,7 +85,9 @@ class Bystanders:
         self._since_last, self._frames_since_last = (0.0, 0.0), 0
         self._frames += 1
         every = WATCHED_EVERY_LARGE if image.size > LARGE_IMAGE_PX else WATCHED_EVERY
-        if self._frames % (WATCHED_EVERY_LOST if self._has_lost_a_close_one(circle) else every) == 0:
+        if self._frames == 1:
+            self._look_round(image, circle, (4, 2))
+        elif self._frames % (WATCHED_EVERY_LOST if self._has_lost_a_close_one(circle) else every) == 0:
             scale = 2 if target.r_px < SMALL_RADIUS_PX else 4
             self._look_round(image, circle, (scale,))
         elif self._others.known:
