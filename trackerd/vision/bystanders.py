@@ -56,7 +56,7 @@ class Bystanders:
         return [
             other
             for other in self._others.known
-            if same_size(other.look.r_px, target.r_px, ALIKE) and target.has_levels_of(other.look)
+            if same_size(other.look.r_px, target.r_px, ALIKE) and target.may_be_of(other.look)
         ]
 
     def forget(self, for_good: bool = False) -> None:

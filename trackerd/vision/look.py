@@ -33,6 +33,10 @@ class Look:
         """Tells a ball from a round hole and from one of another brightness; equal balls look equal."""
         return self.has_levels_of(Look.of(found))
 
+    def may_be_of(self, other: "Look") -> bool:
+        """Whether a ball that looked like the other may look like this, before whatever background."""
+        return abs(other.inside_dn - self.inside_dn) <= SAME_LEVEL * self.inside_dn + SAME_LEVEL_DN
+
     def has_levels_of(self, other: "Look") -> bool:
         off_dn = abs(other.inside_dn - self.inside_dn)
         if other.contrast_dn * self.contrast_dn > 0.0:

@@ -13,6 +13,7 @@ from trackerd.vision.everywhere import ITSELF_RADII
 from trackerd.vision.look import Look, same_size
 from trackerd.vision.rays import Circle
 
+GHOST = 0.06  # of the radius: no ball changes its size so fast that one that differs by more is it, seen again
 ALIKE = 0.25  # of the radius: an outline that differs by more is not this ball's
 FIRST_RADII, FIRST_PX = 2.0, 40.0  # how far one may have gone in its first frame, when its speed is not known
 KNOWN_RADII, KNOWN_PX = 1.0, 16.0  # and how far from its prediction, when it is
@@ -67,7 +68,7 @@ class Other:
 
     def may_have_been(self, other: "Other") -> bool:
         """Whether one that is out of sight may be this one, seen again."""
-        alike = same_size(self.look.r_px, other.look.r_px, ALIKE) and other.look.has_levels_of(self.look)
+        alike = same_size(self.look.r_px, other.look.r_px, GHOST) and other.look.has_levels_of(self.look)
         return alike and self.distance_px(other.x_px, other.y_px) <= ITSELF_RADII * self.look.r_px
 
     def go_on(self, moved_px: tuple[float, float]) -> None:
