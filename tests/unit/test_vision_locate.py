@@ -1,13 +1,17 @@
 """The outline near a guess: precise, robust, with a covariance that is true, and silent where there is no ball."""
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
 from vision_pictures import NOISE, Ball
 
 from trackerd.contract.model import Found, Missed
+from trackerd.vision.fit import fit_circle
 from trackerd.vision.locate import locate
 from trackerd.vision.noise import NoiseModel
+from trackerd.vision.verify import LEAST_COVERAGE, verified
 
 
 def errors(ball: Ball, found: Found) -> np.ndarray:
@@ -199,3 +203,17 @@ def test_tiny_images_are_missed(shape: tuple[int, int]) -> None:
     image = np.random.default_rng(12).integers(0, 255, shape).astype(np.uint8)
     assert isinstance(locate(image, None), Missed)
     assert isinstance(locate(image, (shape[1] / 2, shape[0] / 2, 5.0)), Missed)
+
+
+def test_half_an_outline_that_fits_badly_is_none() -> None:
+    """A glossy ball whose mirrored lamps spoil a half of the rim: what is left may be a part of them."""
+    fit = fit_circle(Ball(160.2, 120.4, 40.0, size_px=(320, 240)).noisy(3), (160.0, 120.0, 40.0), NoiseModel())
+    assert fit is not None
+    seen = np.arange(len(fit.weight)) < round(0.6 * len(fit.weight))
+    contrast = np.where(seen, fit.sectors.contrast_dn, 0.0)
+    good = replace(fit, sectors=replace(fit.sectors, contrast_dn=contrast))
+    assert isinstance(verified(good, NoiseModel(), LEAST_COVERAGE), Found)
+    bad = replace(good, sectors=replace(good.sectors, chi2=np.full(len(seen), 9.0)))
+    missed = verified(bad, NoiseModel(), LEAST_COVERAGE)
+    assert isinstance(missed, Missed)
+    assert "and fit badly (chi-square 9.0)" in missed.reason

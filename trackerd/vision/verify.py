@@ -22,6 +22,7 @@ POOR_CHI2 = 12.0  # a sector that looks like no edge at all
 
 
 MOST_LEFT_OUT = 0.03  # of the outline
+LITTLE, BAD_CHI2 = 0.65, 6.0  # of the outline: where little of it is seen, what is seen must be an edge
 BRIGHT_RIM = 0.25  # of the blur: by this a ball's glow at its rim makes the radius small
 CORNERS = (3, 4, 5, 6)
 SURE_PX = 0.1  # no edge counts as surer than this: a corner is larger, what a spot does to a few sectors is not
@@ -37,22 +38,16 @@ NEIGHBOURS = 3  # sectors over which it may go on
 
 
 def verified(fit: CircleFit, noise: NoiseModel, least_coverage: float) -> Outline:
-    if not fit.settled:
-        return Missed("the circle fit did not settle")
-    if fit.sigma_px <= SHARPEST_PX:
-        return Missed("the edge is sharper than pixels can show: it is no picture of a ball")
     sectors = fit.lit_sectors
     good = edge_sectors(sectors, noise)
     coverage = float(np.count_nonzero(good) / len(fit.weight))
-    if coverage < least_coverage:
-        return Missed(f"only {100 * coverage:.0f} % of the outline carry an edge ({100 * least_coverage:.0f} % needed)")
-    corner = corners(fit, edge_sectors(sectors, noise, farthest_px=inf))
-    if corner is not None:
-        return Missed(corner)
-    if not all(0.0 < variance < inf for variance in fit.cov_px2.diagonal().tolist()):
-        return Missed("the outline does not determine a circle")
     weight = float(fit.weight.sum())
     chi2 = float(fit.sectors.chi2 @ fit.weight) / weight if weight > 0.0 else 0.0
+    refusal = _no_edge(fit, coverage, least_coverage, chi2) or corners(fit, edge_sectors(sectors, noise, farthest_px=inf))
+    if refusal is not None:
+        return Missed(refusal)
+    if not all(0.0 < variance < inf for variance in fit.cov_px2.diagonal().tolist()):
+        return Missed("the outline does not determine a circle")
     growth, why = scatter(fit)
     cov_px2 = fit.cov_px2 * growth
     if len(fit.limb_dn) > 0:
@@ -71,6 +66,19 @@ def verified(fit: CircleFit, noise: NoiseModel, least_coverage: float) -> Outlin
         outside_dn=middle - 0.5 * contrast,
         inflated=why,
     )
+
+
+def _no_edge(fit: CircleFit, coverage: float, least_coverage: float, chi2: float) -> str | None:
+    """Why what the fit ended on is no edge of a ball; None: it may be."""
+    if not fit.settled:
+        return "the circle fit did not settle"
+    if fit.sigma_px <= SHARPEST_PX:
+        return "the edge is sharper than pixels can show: it is no picture of a ball"
+    if coverage < least_coverage:
+        return f"only {100 * coverage:.0f} % of the outline carry an edge ({100 * least_coverage:.0f} % needed)"
+    if coverage < LITTLE and chi2 > BAD_CHI2:
+        return f"{100 * coverage:.0f} % of the outline carry an edge, and fit badly (chi-square {chi2:.1f})"
+    return None
 
 
 def _under_lamps(fit: CircleFit, cov_px2: Array, why: str) -> tuple[Array, str]:
